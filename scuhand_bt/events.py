@@ -8,7 +8,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, TypeAdapter, ValidationError
 
@@ -336,12 +336,15 @@ class Dose(SkillEvent):
         return self.dispensed_mg - self.target_mg
 
 
+CurveRow: TypeAlias = tuple[float, float, float, float, bool, float]
+
+
 class DoseCurve(SkillEvent):
     """A part of a dose's course, for a plot: the parts of an action, one after another, are its course."""
 
     KIND: ClassVar = "dose_curve"
 
-    points: tuple[tuple[float, float, float, float, bool, float], ...]
+    points: tuple[CurveRow, ...]
     """Time [s], net [mg], opening [mm], vibration (0 to 1), stable, the controller's estimate [mg]."""
 
 

@@ -85,7 +85,8 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A source's amount does not fit into its mortar.", "Correct the amount or the mortar."
         ),
         "source-short": Finding(
-            "A source holds less than its samples need, with losses.", "More powder, or less samples."
+            "A source holds less than its samples need, with losses.",
+            "More powder, `refill` for a person to bring it on the way, or less samples.",
         ),
         "out-of-reach": Finding(
             "The arm does not reach a place with the cone upright.", "`scuhand-bt reach` draws it."

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from pydantic import JsonValue
 
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.events import NOTE_PREFIX, SKILL_EVENTS, Note, SkillEvent
+from scuhand_bt.events import NOTE_PREFIX, SKILL_EVENTS, CurveRow, Note, SkillEvent
 
 
 class RecordLost(Exception):  # noqa: N818 - it says what happened
@@ -15,17 +15,20 @@ class RecordLost(Exception):  # noqa: N818 - it says what happened
 class Record:
     """The part of the journal that skills may write, `cell.record`: what they did and weighed, and a lab's own notes.
 
-    The run's course and its verdicts are the engine's to write. `keep` and `waits` are the journal's; without them
-    nothing is kept.
+    The run's course and its verdicts are the engine's to write. `keep`, `waits` and `course` are the journal's; without
+    them nothing is kept.
     """
 
     def __init__(
         self,
         keep: Callable[[SkillEvent | Note], None] = lambda event: None,
         waits: Callable[[], Wake | None] = lambda: None,
+        course: Callable[[CurveRow], None] | None = None,
     ) -> None:
         self._keep = keep
         self._waits = waits
+        self.course = course
+        """Takes the points of a dose's course, one at each reading; None where nobody wants them."""
 
     def kept(self) -> Steps[None]:
         """Wait until all that was written is on disk: before what must not happen unless that is known."""

@@ -276,12 +276,12 @@ class Dispense(Skill[Dose]):
             )
         source = self._source(cell)
         powder = source.powder
-        volume_mm3 = self.mass_mg / powder.bulk_density_mg_per_mm3
+        volume_mm3 = (self.mass_mg + self.tolerance_mg) / powder.bulk_density_mg_per_mm3
         if container is not None and volume_mm3 > container.capacity_mm3:
             raise SkillFailed(
                 Code.CONTAINER_TOO_SMALL,
-                f"{self.mass_mg:g} mg of {powder.name} are {volume_mm3 / 1000:.2f} cm³; "
-                f"'{container.id}' holds {container.capacity_mm3 / 1000:.2f} cm³",
+                f"{self.mass_mg:g} mg of {powder.name} are with the tolerance up to {volume_mm3 / 1000:.3f} cm³; "
+                f"'{container.id}' holds {container.capacity_mm3 / 1000:.3f} cm³",
             )
         return DoseRequest(
             target_mg=self.mass_mg,

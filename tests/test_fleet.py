@@ -291,6 +291,36 @@ def test_two_programs_may_make_the_tables_at_once_and_later_ones_find_them(datab
     run(check())
 
 
+BEFORE = """
+DROP TRIGGER scuhand_lock ON procrastinate_jobs; DROP FUNCTION scuhand_lock; DROP INDEX scuhand_open_jobs;
+CREATE INDEX scuhand_jobs_of_station ON procrastinate_jobs (lock, status, priority, id);
+UPDATE procrastinate_jobs SET lock = queue_name;
+"""
+"""To a database as the versions before had it, in which a job had its station's lock while it waited, too."""
+
+
+def test_jobs_of_an_earlier_version_are_taken_in_their_order_and_the_one_that_runs_holds_back_the_others(
+    database: str, order: Submission, offer: Offer
+) -> None:
+    async def check() -> None:
+        async with enrolled(database, offer, "one") as queue:
+            here = but(order, stations=("one",))
+            numbers = await queue.submit([but(here, key=key) for key in "abc"])
+            assert await queue.take("one") is not None
+        subprocess.run(["psql", "-X", "-q", database, "-c", BEFORE], check=True, capture_output=True)
+        async with open_queue(database) as queue:
+            assert (taken := await queue.taken("one")) is not None
+            assert taken.id == numbers[0]
+            assert await queue.take("one") is None, "it has one"
+            assert [station.jobs for station in await queue.stations()] == [3]
+            for number, following in zip(numbers, [*numbers[1:], None], strict=True):
+                await queue.finish(number, Status.SUCCEEDED)
+                after = await queue.take("one")
+                assert (after and after.id) == following
+
+    run(check())
+
+
 def test_a_database_that_is_not_there_is_said_with_where_and_what_to_read(command: Call) -> None:
     for words in (["queue"], ["fleet"], ["cancel", 1], ["station", "--dry-run"]):
         code, _, err = command(*words, "--database", "host=127.0.0.1 port=1")

@@ -10,7 +10,10 @@ from scuhand_bt.cell_spec import ArmSpec, HandSpec
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import SMALLEST_MARGIN_M, Arm, Scene, Solid
+from scuhand_bt.motion.coordinates import JointCoordinates
+from scuhand_bt.motion.free_space import Space
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount, apex
+from scuhand_bt.motion.timelaw import RateLimits
 
 URDF = load_lab(starter_lab()).urdf
 WALL = Solid("wall", (0.3, 0.0, 0.2), box_m=(0.006, 0.4, 0.4))
@@ -138,6 +141,26 @@ def test_a_curve_is_proven_free_exactly_where_close_samples_find_nothing(arm):
         assert proven or space.hits(dense).any()
         verdicts.append(proven)
     assert 0.1 < np.mean(verdicts) < 0.9
+
+
+@pytest.mark.parametrize("tilt_limit_deg", [None, 60.0])
+def test_a_line_is_followed_to_its_last_free_sample(arm, tilt_limit_deg):
+    hits = scene(arm)
+    rates = RateLimits(np.full(7, 4.0), np.full(7, 4.0), np.full(7, 40.0))
+    space = Space(JointCoordinates(rates, LIMITS_RAD), hits, Mount.of(HandSpec(), 90.0), tilt_limit_deg)
+    drawn = configurations(3000, seed=8)
+    free = drawn[~space.blocked(drawn)]
+    wholes = []
+    for c0, away in zip(free[:40], configurations(40, seed=9), strict=True):
+        c1 = c0 + 0.4 * (away - c0)
+        end, whole = space.advance(c0, c1)
+        _, q = space.edge(c0, c1)
+        blocked = np.append(space.blocked(q), True)
+        last = q[max(int(np.argmax(blocked)) - 1, 0)]
+        assert whole == (not blocked[:-1].any())
+        assert end == pytest.approx(c1 if whole else last, abs=1e-9)
+        wholes.append(whole)
+    assert 0.05 < np.mean(wholes) < 0.95
 
 
 def test_beyond_a_joints_limit_nothing_is_free(arm):

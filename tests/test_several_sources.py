@@ -113,9 +113,9 @@ def test_all_that_comes_together_must_fit_into_the_container_and_on_the_balance(
     (said,) = desk.problems(recipe(f"id: a, container: xrd_holder, {MIXED}, more: 130 mg"))
     assert "100.0 mg of glass_beads" in said
     assert "130.0 mg of monosodium_glutamate and" in said
-    assert "do not fit into 'xrd_holder'; it holds 0.20 cm³" in said
+    assert "do not fit into 'xrd_holder' with the 4.0 mg more that are in tolerance; it holds 0.20 cm³" in said
     said = desk.problems(recipe(f"id: a, {MIXED}, mass: 45 g, more: 45 g"))[-2]
-    assert "'alumina_crucible' (31.0000 g) and 90.0000 g are too heavy for the balance" in said
+    assert "'alumina_crucible' (31.0000 g) and 90.0040 g are too heavy for the balance" in said
     assert desk.problems(recipe(f"id: a, {MIXED}, more: 0 mg")) == [
         "9:48: the mass taken from 'other' is 0 mg; more than 0"
     ]

@@ -61,6 +61,13 @@ def test_a_trial_is_the_same_in_any_process_and_after_any_other(setup: Setup) ->
     assert [left.name for left in (setup.lab / ".scuhand").iterdir()] == ["plans"], "it leaves no run behind"
 
 
+def test_nobody_is_told_of_a_trial(setup: Setup, tmp_path: Path) -> None:
+    cell, told = setup.lab / "robot" / "cell.yaml", tmp_path / "told"
+    cell.write_text(f"{cell.read_text(encoding='utf-8')}\nnotify: {{command: [touch, {told}]}}\n", encoding="utf-8")
+    assert trial(setup, 1).exit_code == 0
+    assert not told.exists()
+
+
 def test_a_trial_says_what_came_of_the_run(setup: Setup) -> None:
     one = trial(setup, 1)
     assert [sample.id for sample in one.samples] == ["a", "b", "c"]

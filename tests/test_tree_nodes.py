@@ -253,6 +253,23 @@ def test_a_while_looks_again_on_the_devices_news_wherever_it_stands(bench: Bench
     assert (7.0, "guarded halted") in bench.log
 
 
+class Alarming(Hand):
+    """Note an alarm after a second, of which no device tells, and go on for one more."""
+
+    def run(self, cell: Any) -> Steps[str]:
+        yield from wait_until(cell, cell.clock.now_s + 1.0)
+        cell.note("alarm")
+        return (yield from super().run(cell))
+
+
+def test_a_while_looks_again_whenever_what_it_guards_goes_on(bench: Bench) -> None:
+    tree = "while: {guards: [{calm: }], child: {alarming: {name: guarded}}}"
+    outcome = bench.run(tree, {**SKILLS, "alarming": Alarming})
+    assert outcome.failure is not None
+    assert outcome.failure.detail == "alarm"
+    assert bench.log == [(1.0, "alarm"), (1.0, "guarded begins"), (2.0, "guarded halted")]
+
+
 def test_news_while_the_guards_hold_changes_nothing(bench: Bench) -> None:
     for time_s in range(1, 20):
         bench.agenda.at(float(time_s), bench.cell.device("balance").news.fire)

@@ -22,7 +22,7 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
-from scuhand_bt.events import DoseCurve, Pulsed
+from scuhand_bt.events import CurveRow, Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
 
@@ -47,7 +47,7 @@ class CurvePoint:
     estimate_mg: float
     """What the controller takes to have left the nozzle."""
 
-    def row(self) -> tuple[float, float, float, float, bool, float]:
+    def row(self) -> CurveRow:
         """As plain numbers, rounded to what they mean: a point of a `DoseCurve`."""
         return (
             round(self.time_s, 3),
@@ -109,7 +109,7 @@ class _Kept:
     most_mg: float = -math.inf
     _least_mg: float = -math.inf
     _below: int = 0
-    _recent: deque[Observation] = field(default_factory=deque)
+    _lowest: deque[Observation] = field(default_factory=deque)  # of late, each the lowest since the one before it
 
     def require_nothing_lost(self, seen: Observation) -> None:
         """SkillFailed container.moved where it shows less, several readings running or by a stable mean."""
@@ -117,10 +117,13 @@ class _Kept:
         if self._below >= (1 if seen.stable else LOST_READINGS):
             lost = f"the pan shows {self.most_mg - seen.net_mg:.0f} mg less than it has shown in this dose"
             raise SkillFailed(Code.CONTAINER_MOVED, lost)
-        self._recent.append(seen)
-        while self._recent[0].time_s < seen.time_s - RINGING_S:
-            self._recent.popleft()
-        came_mg = 0.0 if seen.stable else seen.net_mg - min(one.net_mg for one in self._recent)
+        lowest = self._lowest
+        while lowest and lowest[-1].net_mg >= seen.net_mg:
+            lowest.pop()
+        lowest.append(seen)
+        while lowest[0].time_s < seen.time_s - RINGING_S:
+            lowest.popleft()
+        came_mg = 0.0 if seen.stable else seen.net_mg - lowest[0].net_mg
         self.most_mg = max(self.most_mg, seen.net_mg)
         self._least_mg = max(self._least_mg, seen.net_mg - max(LOST_MG, RINGS * came_mg))
 
@@ -155,7 +158,8 @@ def run_dose(
 
     def keep(point: CurvePoint) -> None:
         curve.append(point)
-        record.event(DoseCurve(points=(point.row(),)))
+        if record.course is not None:
+            record.course(point.row())
 
     def note(opening_mm: float, vibration: float) -> None:
         """A moment of a pulse; what the hand does in it is known from the command."""

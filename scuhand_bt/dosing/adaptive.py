@@ -229,7 +229,8 @@ class Adaptive:
             flows = bank.coefficient - 1.5 * bank.coefficient_sd
             if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
                 return "surprise"
-            means, variances = bank.coming(powers(*known.valve.closing(np.array((period_s / 2.0, period_s)))))
+            soon, later = (powers(*known.valve.closing(wait_s)) for wait_s in (period_s / 2.0, period_s))
+            means, variances = bank.coming(np.array((soon, later)))
             if float(bank.weights @ means[0]) >= known.aim_mg:  # shut now, it ends there
                 return "reached"
             if not limit_mg and chance(bank, means[1], variances[1], most_mg) > RISK:

@@ -18,7 +18,7 @@ then the mass drops out, and the tolerance is to be at least k s, with a margin 
 
 import statistics
 from collections.abc import Sequence
-from itertools import groupby, pairwise
+from itertools import groupby, islice, pairwise
 from typing import NamedTuple
 
 from scuhand_bt.dosing.verdict import COVERAGE
@@ -118,9 +118,11 @@ def is_frozen(readings_mg: Sequence[float], readability_mg: float) -> bool:
     A balance that is as quiet as that at other times, or was seen for a short while only, is not told by this. When it
     stood still so before, a few times, that was not its noise either; one that does whenever nothing falls is so quiet.
     """
-    digits = [round(mg / readability_mg) for mg in readings_mg]
-    *others, last = [sum(1 for _ in equal) for _, equal in groupby(digits)] or [0]
-    noise = sorted(others)
+    newest = groupby(round(mg / readability_mg) for mg in reversed(readings_mg))
+    last = sum(1 for _, equal in islice(newest, 1) for _ in equal)
+    if last <= 1.0 + STILL_FOLDS:  # no noise makes shorter runs than single readings, nor of fewer folds than one
+        return False
+    noise = sorted(sum(1 for _ in equal) for _, equal in newest)
     for number in range(max(0, len(noise) - STILL_BEFORE), len(noise)):
         if noise[number] >= STILL_READINGS and _is_beyond(noise[number], noise[:number]):
             noise = noise[:number]

@@ -91,17 +91,30 @@ def widest_mm(
     mean_mg, variance = bank.coming(choices.way)
     flow, flow_variance = bank.flow(choices.flow)
     off = (EXPONENT_ERROR * np.log(choices.gaps_mm / known_gap_mm))[:, None] * flow
-    variance += (off * choices.open_s[:, None]) ** 2
-    lasting = flow_variance + off**2 + (UNSEEN_ERROR * flow) ** 2
-    walk = ((K_WALK_PER_S * reference * choices.phi) ** 2)[:, None]
+    variance += np.square(off * choices.open_s[:, None])
+    lasting = np.square(off, out=off)
+    lasting += flow_variance
+    lasting += np.square(UNSEEN_ERROR * flow)
+    walk = np.square(K_WALK_PER_S * reference * choices.phi)[:, None]
     lumps_mg = 2.0 * bank.surge_mg * flow
 
     def deviations(mean_mg: Array, unseen_s: Array) -> Array:
-        unseen = ((lasting + walk * unseen_s) * unseen_s + lumps_mg) * unseen_s
-        return (most_mg - mean_mg) / np.sqrt(variance + bank.erratic * unseen)
+        variances = walk * unseen_s  # in place: these are the largest arrays of a dose, at every reading
+        variances += lasting
+        variances *= unseen_s
+        variances += lumps_mg
+        variances *= unseen_s
+        variances *= bank.erratic
+        variances += variance
+        left = most_mg - mean_mg
+        left /= np.sqrt(variances, out=variances)
+        return left
 
     # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
     left_s = np.maximum(aim_mg - mean_mg, 0.0) / np.maximum(flow, 1e-9)
     room = np.maximum(deviations(mean_mg, bank.delays_s), deviations(np.maximum(mean_mg, aim_mg), left_s))
-    allowed = np.nonzero(0.5 * erfc(room / math.sqrt(2.0)) @ bank.weights <= RISK)[0]
+    room /= math.sqrt(2.0)
+    chances = erfc(room, out=room)
+    chances *= 0.5
+    allowed = np.flatnonzero(chances @ bank.weights <= RISK)
     return shape.threshold_mm + float(choices.gaps_mm[allowed[-1] if len(allowed) else 0])

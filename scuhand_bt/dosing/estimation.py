@@ -73,12 +73,32 @@ class Model(NamedTuple):
 
 def powers(phi: Array | float, slope: Array | float) -> Array:
     """(..., 6) of phi and its slope (...), or of their integrals: what means and variances are linear in."""
+    if isinstance(phi, float) and isinstance(slope, float):
+        return np.array((1.0, phi, slope, phi * phi, phi * slope, slope * slope))
     one = np.ones_like(np.asarray(phi, float))
     return np.stack((one, phi, slope, np.square(phi), np.multiply(phi, slope), np.square(slope)), axis=-1)
 
 
-HERE = powers(0.0, 0.0)
-"""Nothing comes any more."""
+class _Step(NamedTuple):
+    """What a time does to each of H models."""
+
+    still: Array
+    """(H, 5, 5) and (H, 5) of `transitions`."""
+    adds: Array
+    lags: tuple[int, ...]
+    """By how many readings models run behind, each number once."""
+    of_lag: NDArray[np.intp]
+    """(H,) which of these is a model's."""
+    longest: int
+
+    @classmethod
+    def of(cls, delays_s: Array, pure: Array, damping: Array, dt_s: float) -> "_Step":
+        still, adds = transitions(delays_s, pure, damping, dt_s)
+        lags, of_lag = np.unique(np.rint(pure * delays_s / dt_s).astype(int), return_inverse=True)
+        return cls(still, adds, tuple(lags.tolist()), of_lag, int(lags[-1]))
+
+    def of_some(self, kept: NDArray[np.bool_]) -> "_Step":
+        return self._replace(still=self.still[kept], adds=self.adds[kept], of_lag=self.of_lag[kept])
 
 
 class Bank:
@@ -91,7 +111,7 @@ class Bank:
         self.models, self.weights = list(models), weights / weights.sum()
         self.delays_s = np.array([model.delay_s for model in self.models])
         self._pure, self._damping = np.array([SHAPES[model.shape] for model in self.models]).T
-        self._transitions: dict[float, tuple[Array, Array, NDArray[np.int_]]] = {}
+        self._step_of: dict[float, _Step] = {}
         self.erratic = 1.0
         """By what factor the variances of what is coming have turned out to be too small."""
         self.restart(0.0, 1.0, 1.0, 1.0)
@@ -128,120 +148,130 @@ class Bank:
         p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
         many = len(self.models)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
-        self._phi = np.zeros(many)
-        self._unseen = np.zeros((2, many))
+        self._phi: Array | None = None  # (H,) of what each saw last; nothing
+        self._unseen: Array | None = None  # (2, H), integrals of phi and of its slope; nothing
         self._means, self._changing = [0.0, 0.0], 0.0
-        self._passed, self._readings = np.zeros((2, 256)), 0
+        self._passed, self._shut_for = [(0.0, 0.0)], 0  # both integrals, until each reading; the last readings shut
         self._tell()
 
-    def _transition(self, dt_s: float) -> tuple[Array, Array, NDArray[np.int_]]:
-        """(H, 5, 5) and (H, 5) of `transitions`, and how many readings each model runs behind (H,)."""
+    def _step(self, dt_s: float) -> _Step:
         dt_s = round(dt_s, 3)
-        if dt_s not in self._transitions:
-            still, adds = transitions(self.delays_s, self._pure, self._damping, dt_s)
-            behind = np.rint(self._pure * self.delays_s / dt_s).astype(int)
-            self._transitions[dt_s] = still, adds, behind
-        return self._transitions[dt_s]
+        if dt_s not in self._step_of:
+            self._step_of[dt_s] = _Step.of(self.delays_s, self._pure, self._damping, dt_s)
+        return self._step_of[dt_s]
 
-    def _late(self, dt_s: float, phi_s: float, slope_s: float, behind: NDArray[np.int_]) -> Array:
-        """(2, H): phi's and its slope's integrals over what each model sees now; notes what is yet to see."""
-        if self._readings + 1 == self._passed.shape[1]:
-            self._passed = np.append(self._passed, np.zeros_like(self._passed), axis=1)
-        self._readings += 1
+    def _late(self, dt_s: float, phi_s: float, slope_s: float, step: _Step) -> Array | None:
+        """(2, H): phi's and its slope's integrals over what each model sees now; notes what is yet to see.
+
+        None where no model sees anything, nor has anything to see.
+        """
         for mean, over_s in enumerate(CHANGE_S):
             self._means[mean] += (phi_s / dt_s - self._means[mean]) * -math.expm1(-dt_s / over_s)
         self._changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
-        now = self._passed[:, self._readings] = self._passed[:, self._readings - 1] + (phi_s, slope_s)
-        seen = np.maximum(self._readings - behind, 0)
-        seen_s = self._passed[:, seen]
-        self._unseen = now[:, None] - seen_s
-        return seen_s - self._passed[:, np.maximum(seen - 1, 0)]
+        passed = self._passed
+        before, count = passed[-1], len(passed)
+        passed.append((before[0] + phi_s, before[1] + slope_s))
+        self._shut_for = self._shut_for + 1 if phi_s == 0.0 == slope_s else 0
+        if self._shut_for > step.longest or self._shut_for == count:
+            self._unseen = None
+            return None
+        seen = [max(count - lag, 0) for lag in step.lags]
+        now, ends_s = np.array(passed[-1]), np.array([passed[at] for at in seen])
+        begins_s = np.array([passed[max(at - 1, 0)] for at in seen])
+        self._unseen = (now - ends_s).T[:, step.of_lag]
+        late: Array = (ends_s - begins_s).T[:, step.of_lag]
+        return late
 
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
 
         Returns the likeliest model's innovation in standard deviations.
         """
-        dt_s = row.dt_s
+        dt_s, before = row.dt_s, self._phi
         if row.changed:
             self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
-        still, adds, behind = self._transition(dt_s)
-        late = self._late(dt_s, row.phi_s, row.slope_s, behind)
-        phi_s, k = late[0], self._x[:, K]
-        flows = bool(late.any())
-        f = still
-        if flows:
-            f = still.copy()
-            f[:, :, K:] += adds[:, :, None] * late.T[:, None, :]
+        step = self._step(dt_s)
+        late = self._late(dt_s, row.phi_s, row.slope_s, step)
+        k, f = self._x[:, K], step.still
+        if late is not None:
+            f = f.copy()
+            f[:, :, K:] += step.adds[:, :, None] * late.T[:, None, :]
         x = np.matmul(f, self._x[:, :, None])[:, :, 0]
         p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
-        p[:, MASS, MASS] += 1e-6
-        if flows:
+        masses, shown, unseen_mg = p[:, MASS, MASS], p[:, READING, READING].copy(), x[:, MASS] - x[:, READING]
+        masses += 1e-6
+        unexplained = (self.misfit * unseen_mg) ** 2
+        noise = row.noise_mg**2
+        if late is not None:
+            phi_s = late[0]
             flow_mg = np.maximum(k, 0.1 * reference) * phi_s
-            p[:, MASS, MASS] += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s
+            masses += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s
             bridged = np.maximum(reference - k, 0.0)
             walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
-            p[:, K, K] = np.minimum(p[:, K, K] + walk, np.maximum(p[:, K, K], (self._most_sd * reference) ** 2))
-        changed_mg = UNSTEADY_S * k * (phi_s / dt_s - self._phi)
-        self._phi = phi_s / dt_s
-        unseen_mg = x[:, MASS] - x[:, READING]
-        changed = changed_mg**2
-        unexplained = row.noise_mg**2 + changed + (self.misfit * unseen_mg) ** 2
-        shown = p[:, READING, READING]
+            spread = p[:, K, K]
+            spread[:] = np.minimum(spread + walk, np.maximum(spread, (self._most_sd * reference) ** 2))
+            self._phi = phi_s / dt_s
+        else:
+            self._phi = None
+        common = shown
+        if before is None and late is None:
+            unexplained += noise
+        else:
+            now, then = (0.0 if phi is None else phi for phi in (self._phi, before))
+            changed = (UNSTEADY_S * k * (now - then)) ** 2
+            unexplained = (noise + changed) + unexplained
+            common = shown + changed
         variance = shown + unexplained
         innovation_mg = row.reading_mg - x[:, READING]
         gain = p[:, :, READING] / variance[:, None]
         self._x = x + gain * innovation_mg[:, None]
-        self._x[:, K] = np.maximum(self._x[:, K], 0.0)
-        self._p = p - gain[:, :, None] * p[:, None, READING, :]
-        best = int(np.argmax(self.weights))
-        score = float(innovation_mg[best] / math.sqrt(variance[best]))
-        if k[best] * phi_s[best] > 0.01:
+        np.maximum(self._x[:, K], 0.0, out=self._x[:, K])
+        p -= gain[:, :, None] * p[:, None, READING, :]
+        self._p = p
+        best = int(self.weights.argmax())
+        score = float(innovation_mg[best]) / math.sqrt(variance[best])
+        if late is not None and k[best] * phi_s[best] > 0.01:
             told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
             self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, SURPRISING) - AS_EXPECTED))
             self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
         # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
-        common = float(self.weights @ (shown + changed)) + row.noise_mg**2
-        self._weigh(innovation_mg**2 / common)
+        self._weigh(innovation_mg**2 / (float(self.weights @ common) + noise))
         self._tell()
         return score
 
     def _weigh(self, squares: Array) -> None:
         """The models' weights after a reading; those that are out of the question are dropped."""
         weights = self.weights * np.exp(-0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2))
-        kept = weights > LEAST_LIKELY * weights.max()
-        if not kept.all():
+        kept = weights > LEAST_LIKELY * np.maximum.reduce(weights)
+        if np.count_nonzero(kept) < len(kept):
             weights = weights[kept]
             self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
             self.delays_s, self._pure, self._damping = self.delays_s[kept], self._pure[kept], self._damping[kept]
-            self._transitions = {
-                dt_s: (still[kept], adds[kept], behind[kept])
-                for dt_s, (still, adds, behind) in self._transitions.items()
-            }
-            self._x, self._p, self._phi = self._x[kept], self._p[kept], self._phi[kept]
-            self._unseen = self._unseen[:, kept]
-        self.weights = weights / weights.sum()
+            self._step_of = {dt_s: step.of_some(kept) for dt_s, step in self._step_of.items()}
+            self._x, self._p = self._x[kept], self._p[kept]
+            self._phi = self._phi[kept] if self._phi is not None else None
+            self._unseen = self._unseen[:, kept] if self._unseen is not None else None
+        self.weights = weights / np.add.reduce(weights)
 
     def _tell(self) -> None:
         """What is known after a reading: where each model is once it has seen what it has not yet, and all together."""
-        x, p, (phi_s, slope_s), weights = self._x, self._p, self._unseen, self.weights
-        k, p_kk, p_kg, p_gg = x[:, K], p[:, K, K], p[:, K, G], p[:, G, G]
-        mass_k = p[:, MASS, K] + p_kk * phi_s + p_kg * slope_s
-        mass_g = p[:, MASS, G] + p_kg * phi_s + p_gg * slope_s
-        mass = p[:, MASS, MASS] + (p[:, MASS, K] + mass_k) * phi_s + (p[:, MASS, G] + mass_g) * slope_s
-        lumps = 2.0 * self.surge_mg * k
-        self._left = np.array((x[:, MASS] + k * phi_s + x[:, G] * slope_s, k, x[:, G]))
-        self._variance = np.array((mass + lumps * phi_s, 2.0 * mass_k + lumps, 2.0 * mass_g, p_kk, 2.0 * p_kg, p_gg))
-        means, variances = self.coming(HERE)
+        x, p, weights = self._x, self._p, self.weights
+        mass, mass_k, mass_g, left_mg = p[:, MASS, MASS], p[:, MASS, K], p[:, MASS, G], x[:, MASS]
+        if self._unseen is not None:
+            phi_s, slope_s = self._unseen
+            k, p_kk, p_kg, p_gg, seen_k, seen_g = x[:, K], p[:, K, K], p[:, K, G], p[:, G, G], mass_k, mass_g
+            mass_k = seen_k + p_kk * phi_s + p_kg * slope_s
+            mass_g = seen_g + p_kg * phi_s + p_gg * slope_s
+            mass = mass + (seen_k + mass_k) * phi_s + (seen_g + mass_g) * slope_s + 2.0 * self.surge_mg * k * phi_s
+            left_mg = left_mg + k * phi_s + x[:, G] * slope_s
+        self._now = left_mg, mass, mass_k, mass_g
+        self._linear: tuple[Array, Array] | None = None
+        self._coefficient: float | None = None
+        means = np.maximum(left_mg, x[:, MASS])
         behind = means - x[:, READING]
+        self._shown = means, behind
         self.mass_mg = float(weights @ means)
         """What has left the nozzle."""
-        self.mass_sd_mg = math.sqrt(float(weights @ (variances + (means - self.mass_mg) ** 2)))
-        """Its standard deviation, with what the models differ by."""
-        self.coefficient = float(weights @ k)
-        """k, in mg s^-1 mm^-n."""
-        self.coefficient_sd = math.sqrt(max(float(weights @ (p_kk + (k - self.coefficient) ** 2)), 0.0))
-        """Its standard deviation, with what the models differ by."""
         self.delay_s = float(weights @ self.delays_s)
         """The balance's mean delay."""
         behind_mg = float(weights @ behind)
@@ -250,15 +280,54 @@ class Bank:
 
     # --- what is known ---
 
+    @property
+    def mass_sd_mg(self) -> float:
+        """The standard deviation of `mass_mg`, with what the models differ by."""
+        means, behind = self._shown
+        variances = np.maximum(self._now[1] + (self.misfit * behind) ** 2, 0.0) * self.erratic
+        return math.sqrt(float(self.weights @ (variances + (means - self.mass_mg) ** 2)))
+
+    @property
+    def coefficient(self) -> float:
+        """k, in mg s^-1 mm^-n."""
+        if self._coefficient is None:
+            self._coefficient = float(self.weights @ self._x[:, K])
+        return self._coefficient
+
+    @property
+    def coefficient_sd(self) -> float:
+        """Its standard deviation, with what the models differ by."""
+        variances = self._p[:, K, K] + (self._x[:, K] - self.coefficient) ** 2
+        return math.sqrt(max(float(self.weights @ variances), 0.0))
+
+    def _way(self) -> tuple[Array, Array]:
+        """(3, H) and (6, H): what means and variances are, by the terms of `powers`."""
+        if self._linear is None:
+            left_mg, mass, mass_k, mass_g = self._now
+            p, k, lumps = self._p, self._x[:, K], 2.0 * self.surge_mg * self._x[:, K]
+            self._linear = (
+                np.array((left_mg, k, self._x[:, G])),
+                np.array((mass, 2.0 * mass_k + lumps, 2.0 * mass_g, p[:, K, K], 2.0 * p[:, K, G], p[:, G, G])),
+            )
+        return self._linear
+
     def coming(self, way: Array) -> tuple[Array, Array]:
         """Mean [mg] and variance [mg^2] of the mass that will have left, by model, (..., H).
 
         Until then the integrals of phi and of its slope grow by what `powers` (..., 6) are of.
         """
-        mean = np.maximum(way[..., :3] @ self._left, self._x[:, MASS])
-        variance = way @ self._variance + (self.misfit * (mean - self._x[:, READING])) ** 2
-        return mean, np.maximum(variance, 0.0) * self.erratic
+        left, variances = self._way()
+        mean, variance = way[..., :3] @ left, way @ variances
+        np.maximum(mean, self._x[:, MASS], out=mean)
+        behind = mean - self._x[:, READING]
+        behind *= self.misfit
+        variance += np.square(behind, out=behind)
+        np.maximum(variance, 0.0, out=variance)
+        variance *= self.erratic
+        return mean, variance
 
     def flow(self, way: Array) -> tuple[Array, Array]:
         """Mean [mg/s] and variance of the flow, by model, (..., H), at openings whose phi and slope `powers` are of."""
-        return np.maximum(way[..., 1:3] @ self._left[1:], 0.0), np.maximum(way[..., 3:] @ self._variance[3:], 0.0)
+        left, variances = self._way()
+        mean, variance = way[..., 1:3] @ left[1:], way[..., 3:] @ variances[3:]
+        return np.maximum(mean, 0.0, out=mean), np.maximum(variance, 0.0, out=variance)

@@ -68,8 +68,8 @@ class Row(NamedTuple):
     """By how much the opening was changed before it, as the logarithm of what lies above the threshold."""
 
 
-def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float) -> tuple[Array, Array]:
-    """(H, 5, 5) over `dt_s` with the valve shut; (H, 5) what k adds per unit of phi's integral.
+def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float | Array) -> tuple[Array, Array]:
+    """(H, 5, 5) over `dt_s`, one for all or (H,), with the valve shut; (H, 5) what k adds per unit of phi's integral.
 
     In closed form: (y - M, y') decays by exp(A t), A = ((0, 1), (-w^2, -2 z w)), and M grows linearly.
     """
@@ -98,9 +98,9 @@ def balance_of(step: Step) -> BalanceBelief:
     """
     delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
     for shape, (pure, damping) in SHAPES.items():
-        model = np.array([delay_s]), np.array([pure]), np.array([damping])
-        times_s = [max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s]
-        missing = tuple(float(transitions(*model, time_s)[0][0, READING, READING]) for time_s in times_s)
+        times_s = np.array([max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s])
+        delays_s, shares, dampings = (np.full_like(times_s, figure) for figure in (delay_s, pure, damping))
+        missing = tuple(transitions(delays_s, shares, dampings, times_s)[0][:, READING, READING].tolist())
         far[shape] = math.dist(missing, step.missing)
         last_s[shape] = step._replace(missing=missing).last_s
     shape = min(far, key=far.__getitem__)

@@ -1,7 +1,9 @@
 """The queue: procrastinate's jobs in a PostgreSQL database, and beside them what each station says of itself.
 
-One job is one run. Its queue and its lock are its station's name, so that a station has one job at a time, and none
-after one that died there until that is settled. A job is never tried again by itself. Times of the database only.
+One job is one run. Its queue is its station's name, and so is its lock once it is taken: a station has one job at a
+time, and none after one that died there until that is settled. A job that waits has no lock: else procrastinate looks
+through all that wait for the same one before it gives out the first. A job is never tried again by itself. Times of the
+database only.
 """
 
 import logging
@@ -13,6 +15,7 @@ from typing import Any
 
 import psycopg
 from procrastinate import App, PsycopgConnector
+from procrastinate.exceptions import UniqueViolation
 from procrastinate.jobs import Job, Status
 from procrastinate.schema import SchemaManager
 from psycopg.types.json import Jsonb
@@ -31,8 +34,17 @@ CREATE TABLE scuhand_stations (
     name text PRIMARY KEY, identity text NOT NULL, offer jsonb NOT NULL, state text NOT NULL,
     seen timestamptz NOT NULL DEFAULT now());
 CREATE TABLE scuhand_recipes (hash text PRIMARY KEY, files jsonb NOT NULL);
-CREATE INDEX scuhand_jobs_of_station ON procrastinate_jobs (lock, status, priority, id);
 """
+_LOCKED_WHEN_TAKEN = """
+CREATE FUNCTION scuhand_lock() RETURNS trigger LANGUAGE plpgsql
+    AS $$ BEGIN NEW.lock := NEW.queue_name; RETURN NEW; END $$;
+CREATE TRIGGER scuhand_lock BEFORE UPDATE OF status ON procrastinate_jobs
+    FOR EACH ROW WHEN (NEW.status = 'doing') EXECUTE FUNCTION scuhand_lock();
+UPDATE procrastinate_jobs SET lock = NULL WHERE status = 'todo';
+DROP INDEX IF EXISTS scuhand_jobs_of_station;
+CREATE INDEX scuhand_open_jobs ON procrastinate_jobs (queue_name, priority DESC, id) WHERE status IN ('todo', 'doing');
+"""
+"""Also for a database that an earlier version has made."""
 _ENROL = """
 INSERT INTO scuhand_stations (name, identity, offer, state) VALUES (%(name)s, %(identity)s, %(offer)s, 'begins')
 ON CONFLICT (name) DO UPDATE SET offer = excluded.offer, seen = now()
@@ -41,16 +53,16 @@ WHERE scuhand_stations.identity = excluded.identity RETURNING name
 _KNOWN = """
 SELECT name, offer, state, extract(epoch FROM now() - seen)::float AS silent_s,
     count(job.id) AS jobs, coalesce(sum((job.args->>'duration_s')::float), 0) AS ahead_s
-FROM scuhand_stations LEFT JOIN procrastinate_jobs AS job ON lock = name AND status IN ('todo', 'doing')
+FROM scuhand_stations LEFT JOIN procrastinate_jobs AS job ON queue_name = name AND status IN ('todo', 'doing')
 GROUP BY name ORDER BY name
 """
 _JOBS = """
-SELECT job.id, lock AS station, status, abort_requested, args,
+SELECT job.id, queue_name AS station, status, abort_requested, args,
     (SELECT min(at) FROM procrastinate_events WHERE job_id = job.id) AS at
 FROM procrastinate_jobs AS job WHERE %(every)s OR status IN ('todo', 'doing') ORDER BY job.id DESC LIMIT %(limit)s
 """
 _TAKE_OVER = """
-UPDATE procrastinate_jobs SET queue_name = %(name)s, lock = %(name)s WHERE id = (
+UPDATE procrastinate_jobs SET queue_name = %(name)s WHERE id = (
     SELECT id FROM procrastinate_jobs WHERE status = 'todo' AND args->'stations' ? %(name)s
     ORDER BY priority DESC, id LIMIT 1 FOR UPDATE SKIP LOCKED) RETURNING id
 """
@@ -147,7 +159,7 @@ class Queue:
         jobs = [
             Job(
                 queue=order.stations[0],
-                lock=order.stations[0],
+                lock=None,
                 queueing_lock=order.key,
                 task_name=TASK,
                 task_kwargs=order.model_dump(mode="json"),
@@ -173,7 +185,7 @@ class Queue:
     async def forget(self, name: str) -> bool:
         """A station that is no more; False for one that has jobs, or was never there."""
         query = """DELETE FROM scuhand_stations WHERE name = %(name)s AND NOT EXISTS (
-            SELECT FROM procrastinate_jobs WHERE lock = name AND status IN ('todo', 'doing')) RETURNING name"""
+            SELECT FROM procrastinate_jobs WHERE queue_name = name AND status IN ('todo', 'doing')) RETURNING name"""
         return bool(await self._database.execute_query_all_async(query, name=name))
 
     # --- a station
@@ -195,8 +207,12 @@ class Queue:
         return _taken(Job.from_row(rows[0])) if rows else None
 
     async def take(self, name: str) -> Taken | None:
-        """The next job of this station, which is its own from now on."""
-        job = await self._jobs.fetch_job([name], None)  # type: ignore[arg-type]  # a station is no worker that is pruned
+        """The next job of this station, which is its own from now on; None where none waits, or one is not settled."""
+        try:
+            # A station is no worker that is pruned.
+            job = await self._jobs.fetch_job([name], None)  # type: ignore[arg-type]
+        except UniqueViolation:
+            return None
         return _taken(job) if job is not None else None
 
     async def files(self, order: Order) -> Files:
@@ -238,6 +254,7 @@ async def open_queue(database: str) -> AsyncIterator[Queue]:
         min_size=1,
         max_size=1,
         kwargs={"connect_timeout": CONNECT_S},
+        configure=_planning_anew,
         timeout=CONNECT_S,
         reconnect_timeout=1.0,  # the next question tries again
     )
@@ -246,17 +263,25 @@ async def open_queue(database: str) -> AsyncIterator[Queue]:
         yield Queue(app)
 
 
+async def _planning_anew(connection: "psycopg.AsyncConnection[Any]") -> None:
+    """A plan that is kept for whichever station looks through the jobs of all of them for this one's."""
+    await connection.execute("SET plan_cache_mode = force_custom_plan")
+    await connection.commit()
+
+
 async def _make_tables(connection: "psycopg.AsyncConnection[Any]") -> None:
     async def is_there(table: str) -> bool:
         row = await (await connection.execute("SELECT to_regclass(%s)", (table,))).fetchone()
         return row is not None and row[0] is not None
 
-    if not await is_there("scuhand_stations"):
+    if not await is_there("scuhand_open_jobs"):
         await connection.execute("SELECT pg_advisory_xact_lock(hashtext('scuhand-bt'))")  # who is first makes them
         if not await is_there("procrastinate_jobs"):
             await connection.execute(SchemaManager.get_schema())
         if not await is_there("scuhand_stations"):
             await connection.execute(_STATIONS)
+        if not await is_there("scuhand_open_jobs"):
+            await connection.execute(_LOCKED_WHEN_TAKEN)
 
 
 def _taken(job: Job) -> Taken:

@@ -22,9 +22,18 @@ from pydantic import JsonValue
 
 from scuhand_bt.clock import Signal, Wake, wall_time
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import BracketClosed, ContainerLifted, DoseBegun, DoseCurve, DoseWeighed, Event, Note
+from scuhand_bt.events import (
+    BracketClosed,
+    ContainerLifted,
+    CurveRow,
+    DoseBegun,
+    DoseCurve,
+    DoseWeighed,
+    Event,
+    Note,
+)
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
-from scuhand_bt.journal.hash_chain import Entry, digest
+from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest
 from scuhand_bt.journal.plain import to_json
 from scuhand_bt.journal.results import SoFar
 from scuhand_bt.journal.store import Row, Store
@@ -46,10 +55,13 @@ class Journal:
     `is_beside`, waits for no disk (but for `settle` and `close`). Every call may raise RecordLost, once: what is told
     to a lost journal after that goes to where it is `kept_in`, so that the cell can still be made safe. Raises OSError,
     sqlite3.Error for a file that is none.
+
+    One that is not `is_kept` has no file: of what happens it only tells who listens.
     """
 
-    def __init__(self, path: Path, *, durable: bool) -> None:
+    def __init__(self, path: Path, *, durable: bool, is_kept: bool = True) -> None:
         self.path = path
+        self.is_kept = is_kept
         self.is_beside = False
         """Whether a thread beside puts entries on disk; set where time is real."""
         self.news = Signal()
@@ -71,18 +83,19 @@ class Journal:
         self._is_told = False
         self._state: Mapping[str, JsonValue] | None = None
         self._readings: deque[Reading] = deque()
-        self._course: list[tuple[float, float, float, float, bool, float]] = []
+        self._course: list[CurveRow] = []
         self._weighing: set[int] = set()
         self._flushed_at_s = time.monotonic()
-        self._store: Store | None = Store(path, durable=durable)
-        self._seq, self._head = self._store.last
+        self._store: Store | None = Store(path, durable=durable) if is_kept else None
+        self._seq, self._head = self._store.last if self._store is not None else (0, GENESIS)
         self._on_disk = self._seq
         self._queue: list[tuple[Row, Event | Note | None]] = []
         self._numbering = threading.Lock()
         self._writing = threading.Lock()
         self._wanted, self._closing = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._keep_writing, daemon=True, name="journal")
-        self._thread.start()
+        self._thread = threading.Thread(target=self._keep_writing, daemon=True, name="journal") if is_kept else None
+        if self._thread is not None:
+            self._thread.start()
 
     @property
     def last(self) -> tuple[int, str]:
@@ -121,10 +134,15 @@ class Journal:
         A dose's course is kept in parts, with the readings that it goes by.
         """
         if isinstance(event, DoseCurve):
-            self._course += event.points
+            for point in event.points if self.is_kept else ():
+                self.course(point)
             return
         self.so_far.note(event)
         self._append(event, with_state=isinstance(event, POINTS_OF_NO_RETURN), is_told=True)
+
+    def course(self, point: CurveRow) -> None:
+        """A point of a dose's course; it may wait in memory."""
+        self._course.append(point)
 
     def job_started(self, event: JobStarted) -> None:
         self.job = self.action = None
@@ -157,7 +175,7 @@ class Journal:
 
     def weighed(self, reading: Reading) -> None:
         """Hear a reading of the balance; called on whichever thread it arrives."""
-        if self._weighing:
+        if self._weighing and self.is_kept:
             self._readings.append(reading)
 
     def flush(self, older_than_s: float = 0.0) -> None:
@@ -183,6 +201,12 @@ class Journal:
     def _append(
         self, event: Event | Note, *, with_state: bool = False, frames: bytes | None = None, is_told: bool = False
     ) -> int:
+        if not self.is_kept:
+            self._seq += 1
+            self._on_disk = self._seq  # nobody is to wait
+            if is_told:
+                self.heard(event)
+            return self._seq
         if self._lost is None:
             self.before_commit()  # first, for it may have something to say itself
         with self._numbering:
@@ -254,7 +278,8 @@ class Journal:
             return
         self._closing.set()
         self._wanted.set()
-        self._thread.join()
+        if self._thread is not None:
+            self._thread.join()
         self._write()
         if self._store is not None:
             self._store.close()

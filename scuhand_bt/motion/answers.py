@@ -3,9 +3,10 @@
 Between two places, where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan,
 the motion over the bare pan is taken where it is proven free there too.
 
-A load is planned for by a ladder of limits, the strictest first, each beginning with what is known from the one before;
-of all their motions, and the empty cone's, each as quick as the load's own limit lets it be, the quickest is taken. So
-a load that may lean more is never slower, whatever was asked before.
+A load is planned for by a ladder of limits; of all their motions, and the empty cone's, each as quick as the load's own
+limit lets it be, the quickest is taken. So a load that may lean more is never slower, whatever was asked before.
+Between places the strictest limit comes first, and each begins with what is known from the one before; on the way the
+loosest, each from scratch, as what it finds is mostly as quick as the stricter ones are allowed to be.
 
 An answer is kept, in memory and on disk, unless patience has ended its search: that one depends on the machine.
 
@@ -13,7 +14,6 @@ Joints in radians, shape (7,), goals (n, 7), limits of loads in degrees. SkillFa
 arm.start_in_collision.
 """
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
@@ -33,16 +33,17 @@ from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, standing
-from scuhand_bt.motion.transfer import POLISHED, PREPARED, AtHand, Effort
+from scuhand_bt.motion.transfer import ATTEMPTS, POLISHED, PREPARED, AtHand, Effort
 
 SURE = 1.01
-"""A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
-for a stricter limit, is quicker by more."""
+"""A load's motion that takes no more than this over the least that any other may take is not improved on."""
 NEAR_OPTIMUM = 1.15
 """Of the empty cone's motion that a load's is measured by: a direct one within this of the bound will do."""
-RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
+RUNGS = {10.0: 1.10, 20.0: 1.07, 30.0: 1.04, 45.0: 1.02}
 """The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
-share them. Between two of them, and below the first, their motions are slowed."""
+share them. Between two of them, and below the first, their motions are slowed. And what each one's motions take at
+least on the way, over the empty cone's: so the stricter ones need no search where a looser one's is as quick."""
+STRICTEST_DEG = min(RUNGS)
 PLANS_KEPT = 256
 
 Found = TypeVar("Found", bound=JointTrajectory)
@@ -106,32 +107,32 @@ class Answers:
     def _carried(self, way: Way, spill_limit_deg: float) -> JointTrajectory:
         """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest.
 
-        Where planning takes the arm's time, not between places, none is quicker than the empty cone's, so that what is
-        as quick as that needs no search: one that is begins later by what it is quicker.
+        Where planning takes the arm's time, not between places, no rung's motion is quicker than its floor: one that
+        is begins later by what it is quicker.
         """
         # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
-        # the last of them is within SURE of anything: so a looser limit is never slower by more.
-        rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= max(spill_limit_deg, RUNGS_DEG[0])]
-        empty = self._emptied(way)
-        least_s = self._least_s(way, empty)
-        sure_s = SURE * max(least_s, float(rest_to_rest_s(way.goals - way.begin, self._pace.rates).min()))
-        best: JointTrajectory | None = None
-        searched = (self._kept(way, rung_deg) for rung_deg in rungs_deg)
-        for planned in itertools.chain([empty], searched):
-            motion = self._pace.timed(planned, self._mount_of(way.geometry), spill_limit_deg)
-            if best is None or (motion is not None and motion.duration_s < best.duration_s):
-                best = motion
-            if best is not None and best.duration_s <= sure_s:
+        # the last of them is within SURE of the floors of the rest, which grow with strictness: so a looser limit is
+        # never slower by more.
+        rungs_deg = [rung_deg for rung_deg in RUNGS if rung_deg <= max(spill_limit_deg, STRICTEST_DEG)]
+        if not self._between_places(way):
+            rungs_deg.reverse()
+        empty, mount = self._emptied(way), self._mount_of(way.geometry)
+        bound_s = float(rest_to_rest_s(way.goals - way.begin, self._pace.rates).min())
+        best = self._pace.timed(empty, mount, spill_limit_deg)
+        for rung_deg in rungs_deg:
+            floor_s = self._floor_s(way, empty, rung_deg)
+            is_sure = best is not None and best.duration_s <= SURE * max(floor_s, bound_s)
+            if is_sure or way.patience.ends(best is not None):
                 break
-            if way.patience.ends(best is not None):
-                break
-        found = self._found(best, way)
-        return begun_later(found, least_s - found.duration_s).keeping(spill_limit_deg)
+            motion = self._pace.timed(self._kept(way, rung_deg), mount, spill_limit_deg)
+            if motion is not None and (best is None or max(floor_s, motion.duration_s) < best.duration_s):
+                best = begun_later(motion, floor_s - motion.duration_s)
+        return self._found(best, way).keeping(spill_limit_deg)
 
-    def _least_s(self, way: Way, empty: JointTrajectory | None) -> float:
-        """What no load's motion takes less than: that of the empty cone where planning takes the arm's time, else 0."""
+    def _floor_s(self, way: Way, empty: JointTrajectory | None, rung_deg: float) -> float:
+        """What no motion of a rung takes less than where planning takes the arm's time, else 0."""
         quickest = None if self._between_places(way) else self._pace.quick(empty)
-        return 0.0 if quickest is None else quickest.duration_s
+        return 0.0 if quickest is None else RUNGS[rung_deg] * quickest.duration_s
 
     def _emptied(self, way: Way) -> StoppableTrajectory | None:
         """The empty cone's motion that a load's is measured by: looked for longer than for its own sake."""
@@ -190,22 +191,25 @@ class Answers:
             over_bare_pan = self._kept(replace(way, geometry=bare), spill_limit_deg)
             if over_bare_pan is not None and self._scenes.of(way.geometry).proves(over_bare_pan):
                 return over_bare_pan
-        return self._searched(way, spill_limit_deg, self._at_hand(way, spill_limit_deg))
-
-    def _at_hand(self, way: Way, spill_limit_deg: float | None) -> AtHand:
-        """What a search of a request need not find."""
         if spill_limit_deg is None:
-            return AtHand(patience=way.patience)
-        known, mount, empty = None, self._mount_of(way.geometry), self._emptied(way)
-        if spill_limit_deg in RUNGS_DEG[1:]:
-            stricter_deg = RUNGS_DEG[RUNGS_DEG.index(spill_limit_deg) - 1]
-            known = self._pace.timed(self._kept(way, stricter_deg), mount, spill_limit_deg)
-        return AtHand(
-            known,
-            enough_s=self._least_s(way, empty),
-            will_do=self._pace.timed(empty, mount, spill_limit_deg) is not None,
-            patience=way.patience,
-        )
+            return self._searched(way, None, AtHand(patience=way.patience))
+        return self._planned_for_load(way, spill_limit_deg)
+
+    def _planned_for_load(self, way: Way, rung_deg: float) -> JointTrajectory | None:
+        """A rung's motion. On the way the simplest searches are enough where they, or others, have found one."""
+        empty, mount = self._emptied(way), self._mount_of(way.geometry)
+        floor_s, will_do = self._floor_s(way, empty, rung_deg), self._pace.timed(empty, mount, rung_deg) is not None
+        at_hand = AtHand(least_s=floor_s, enough_s=SURE * floor_s, will_do=will_do, patience=way.patience)
+        if rung_deg == STRICTEST_DEG:
+            return self._searched(way, rung_deg, replace(at_hand, attempts=2 * ATTEMPTS))
+        is_live = not self._between_places(way)
+        if is_live and (quick := self._searched(way, rung_deg, replace(at_hand, is_quick=True))) is not None:
+            return quick
+        stricter_deg = max(one for one in RUNGS if one < rung_deg)
+        known = self._pace.timed(self._kept(way, stricter_deg), mount, rung_deg)
+        if is_live and (will_do or known is not None):
+            return known
+        return self._searched(way, rung_deg, replace(at_hand, motion=known))
 
     def _searched(self, way: Way, spill_limit_deg: float | None, known: AtHand) -> JointTrajectory | None:
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):

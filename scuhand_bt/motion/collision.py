@@ -35,6 +35,8 @@ _FIRST_SAMPLES = 12
 _LOOKED_AT_ONCE = 64
 _FOREMOST = (CONE, "fore_0")
 """The shapes that hit most of what is hit: where the cone is widest, and the arm above it."""
+_GLANCED_AT = np.array([0.5, 0.25, 0.75, 0.12, 0.37, 0.62, 0.88, 0.06, 0.19, 0.31, 0.44, 0.56, 0.69, 0.81, 0.94])
+"""Of the samples of a curve, those that are looked at first: as shares of it, the likeliest hit first."""
 _WIDE = 4.0
 """Times the margin: where a motion keeps that much from everything, so many times fewer samples prove it."""
 
@@ -204,6 +206,9 @@ class Scene:
         """
         wide_m = _WIDE * self.margin_m
         times_s, q = self.proving_samples(positions_at, duration_s, acceleration, wide_m)
+        # What is hit is so at many of them mostly: a few tell, at a tenth of the price.
+        if self.any_hit(q[(_GLANCED_AT * (len(q) - 1)).astype(int)]):
+            return False
         near = self._nearer(self._wide_pool, q)
         if not near.any():
             return True

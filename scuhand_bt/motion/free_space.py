@@ -50,6 +50,10 @@ class Space:
         """Which configurations (n, 7) are not free: (n,)."""
         return self._seen(q, self.scene.hits)
 
+    def any_blocked(self, q: Floats) -> bool:
+        """Whether any of the configurations (n, 7) is not free."""
+        return bool(self._upright is not None and self._leans(q).any()) or self.scene.any_hit(q)
+
     def first_look(self, q: Floats) -> np.ndarray:
         """Most of those that are not free, at a fraction of the price: (n,)."""
         return self._seen(q, self.scene.first_hits)
@@ -84,17 +88,23 @@ class Space:
         """How far the line from c0 to c1 is free, and whether that is all of it."""
         shares, q = self.edge(c0, c1)
         for begin in range(0, len(q), _BATCH):
-            blocked = self.blocked(q[begin : begin + _BATCH])
-            if blocked.any():
-                last = begin + int(np.argmax(blocked)) - 1
+            some = q[begin : begin + _BATCH]
+            free = self._free_ones(some)
+            if free < len(some):
+                last = begin + free - 1
                 return c0 + max(shares[max(last, 0)], 0.0) * (c1 - c0), False
         return c1, True
+
+    def _free_ones(self, q: Floats) -> int:
+        """How many of the configurations (n, 7) are free before the first that is not."""
+        for look in (self.first_look, self.blocked):
+            blocked = look(q)
+            if blocked.any():
+                q = q[: int(np.argmax(blocked))]
+        return len(q)
 
     def free(self, c0: Floats, c1: Floats) -> bool:
         """Whether all of the line is free."""
         if isinstance(self.coordinates, JointCoordinates) and self._upright is None:
             return self.scene.line_free(c0, c1)
-        _, q = self.edge(c0, c1)
-        if self._upright is not None and self._leans(q).any():
-            return False
-        return not self.scene.any_hit(q)
+        return not self.any_blocked(self.edge(c0, c1)[1])

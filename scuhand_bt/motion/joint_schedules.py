@@ -20,7 +20,8 @@ their turning points at once, and the cone is level there. Changes of the best o
 Joints [rad] (n, 7), durations and times [s]; randomness is the caller's.
 """
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,12 +34,13 @@ from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
 
 _PROPOSALS = 160
 _LOOKS = tuple(
-    (tuple((2 * k + 1) / 2 ** (level + 1) for k in range(2**level)), kept)
-    for level, kept in enumerate((80, 40, 16, 6, 3))
+    (tuple((2 * k + 1) / 2 ** (level + 1) for k in range(2**level)), kept) for level, kept in enumerate((80, 40, 16, 6))
 )
-"""When schedules are looked at, as shares of their durations, ever finer, and how many are kept from look to look."""
-_FIRST_LOOKS = 4
-"""Of these looks, how many are first looks."""
+"""When schedules have a first look, as shares of their durations, ever finer, and how many are kept of each."""
+_LAST_LOOK = np.array([(2 * k + 1) / 32 for k in (7, 8, 5, 10, 3, 12, 6, 9, 4, 11, 1, 14, 2, 13, 0, 15)])
+"""And when each of those that are left is looked at against everything, its middle first."""
+_MOST_PROVEN = 3
+"""Of those that are free then, so many are proven."""
 _NEAR_PART = 0.7
 """Share of the proposals that change the best schedule instead of being drawn anew."""
 _NEAR_SPAN = 0.6
@@ -139,17 +141,21 @@ class ScheduleSearch:
         known: JointTrajectory | None,
         rng: np.random.Generator,
         rounds: int,
-        good_s: float,
+        wanted_s: tuple[float, float],
         idle_rounds: int,
         ends: Callable[[JointTrajectory | None], bool],
     ) -> JointTrajectory | None:
-        """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`.
+        """The quickest proven schedule found in so many rounds, or what is known already.
+
+        Of durations `wanted_s` none is drawn that is quicker than the first, and none improved on that is within the
+        second.
 
         Once there is one, so many `idle_rounds` in a row that find none quicker end the search, as `ends` does, which
         is asked with the best so far.
         """
         best, parent, idle = known, None, 0
-        least_s = float(self._bounds_s[0])
+        wanted_least_s, good_s = wanted_s
+        least_s = max(float(self._bounds_s[0]), wanted_least_s)
         for k in range(rounds):
             if best is not None and (best.duration_s <= good_s or idle >= idle_rounds):
                 break
@@ -157,8 +163,8 @@ class ScheduleSearch:
                 break
             most_s = (_FIRST_UPTO + k / 2) * least_s if best is None else _QUICKER * best.duration_s
             some = self._fresh(_PROPOSALS, least_s, most_s, rng)
-            if parent is not None and self._bound_s(parent) <= most_s:
-                some = self._near(parent, some, most_s, rng)
+            if parent is not None and (bound_s := max(self._bound_s(parent), wanted_least_s)) <= most_s:
+                some = self._near(parent, some, (bound_s, most_s), rng)
             found = self._first_proven(some, best)
             idle += 1
             if found is not None:
@@ -200,12 +206,15 @@ class ScheduleSearch:
         all_turns[:count][has_time], all_shares[:count][has_time] = turns[has_time], shares[has_time]
         return Schedules(some.goals, some.durations_s, all_turns, all_shares)
 
-    def _near(self, parent: Schedules, fresh: Schedules, most_s: float, rng: np.random.Generator) -> Schedules:
-        """Part of the fresh ones replaced by changes of the parent."""
+    def _near(
+        self, parent: Schedules, fresh: Schedules, span_s: tuple[float, float], rng: np.random.Generator
+    ) -> Schedules:
+        """Part of the fresh ones replaced by changes of the parent, of durations within a span."""
+        least_s, most_s = span_s
         count = int(_NEAR_PART * len(fresh))
         size = rng.uniform(0.05, 0.6, (count, 1))
         goals = np.repeat(parent.goals, count, axis=0)
-        durations_s = most_s - (most_s - self._bound_s(parent)) * rng.uniform(size=count) ** 2 * _NEAR_SPAN
+        durations_s = most_s - (most_s - least_s) * rng.uniform(size=count) ** 2 * _NEAR_SPAN
         turns = np.broadcast_to(parent.turns, goals.shape)
         turns = np.where(turns != goals, turns + size * 0.5 * rng.normal(size=goals.shape), turns)
         back = rng.uniform(size=goals.shape) < 0.1
@@ -233,21 +242,22 @@ class ScheduleSearch:
         limit_s = np.inf if best is None else best.duration_s
         some = some.taken(np.argsort(some.durations_s, kind="stable"))
         times_s, steps = jerk_steps(self._start, some, self._limits)
-        for k in self._look_free(some.durations_s, times_s, steps):
+        looking_free = self._look_free(some.durations_s, times_s, steps)
+        for k in itertools.islice(looking_free, _MOST_PROVEN):
             course = of_jerk_steps(self._start, times_s[k], steps[k], float(some.durations_s[k]))
             motion = self._prover.proven(course, limit_s)
             if motion is not None:
                 return motion, some.taken(np.array([k]))
         return None
 
-    def _look_free(self, durations_s: Floats, times_s: Floats, steps: Floats) -> np.ndarray:
-        """The first few schedules that look free: those that are hit drop out look by look."""
+    def _look_free(self, durations_s: Floats, times_s: Floats, steps: Floats) -> Iterator[int]:
+        """The schedules that look free, in their order: those that are hit drop out look by look."""
         left = np.arange(len(durations_s))
         space = self._prover.space
-        for level, (shares, kept) in enumerate(_LOOKS):
+        for shares, kept in _LOOKS:
             q = positions(self._start, times_s[left], steps[left], durations_s[left, None] * np.array(shares))
-            look = space.first_look if level < _FIRST_LOOKS else space.blocked
-            left = left[~look(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).any(axis=1)][:kept]
+            left = left[~space.first_look(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).any(axis=1)][:kept]
             if not len(left):
-                break
-        return left
+                return
+        q = positions(self._start, times_s[left], steps[left], durations_s[left, None] * _LAST_LOOK)
+        yield from (int(k) for k, course in zip(left, q, strict=True) if not space.any_blocked(course))

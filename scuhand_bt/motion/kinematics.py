@@ -134,6 +134,11 @@ class ApexPose:
             object.__setattr__(self, "seam", seam)
 
     @property
+    def digest(self) -> bytes:
+        """Of all of it."""
+        return b"".join(part.tobytes() for part in (self.position_m, self.axis, self.seam) if part is not None)
+
+    @property
     def tilt_deg(self) -> float:
         """Angle between the cone's axis and the vertical."""
         return math.degrees(math.acos(max(-1.0, min(1.0, float(self.axis[2])))))

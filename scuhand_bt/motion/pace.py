@@ -5,11 +5,15 @@ Uniformly quicker or slower a motion keeps its path, and so its proof. Limits of
 
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.kinematics import Mount
-from scuhand_bt.motion.spill import spill_stretch
+from scuhand_bt.motion.recent import Recent
+from scuhand_bt.motion.spill import Carriage, spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.torque import TooHeavyError, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory
+
+_KEPT = 16
+"""A ladder of limits asks of the same few motions again and again how quick they may be."""
 
 
 class Pace:
@@ -18,6 +22,8 @@ class Pace:
     def __init__(self, rates: RateLimits, torques: Torques) -> None:
         self.rates = rates
         self.torques = torques
+        self._quick: Recent[JointTrajectory, JointTrajectory | None] = Recent(_KEPT)
+        self._carriages: Recent[tuple[JointTrajectory, Mount], Carriage] = Recent(_KEPT)
 
     def stoppable(self, motion: JointTrajectory, mount: Mount, rates: RateLimits | None = None) -> StoppableTrajectory:
         """A motion with what its stops must keep; `rates` are those of more axes than the joints."""
@@ -42,8 +48,9 @@ class Pace:
 
     def quick(self, motion: JointTrajectory | None) -> JointTrajectory | None:
         """A motion as quick as joints and servos allow; None for none, and where the hand is too heavy for it."""
-        if motion is None:
-            return None
+        return None if motion is None else self._quick.of(motion, lambda: self._quickened(motion))
+
+    def _quickened(self, motion: JointTrajectory) -> JointTrajectory | None:
         stretch = self.rates.stretch_for(motion)
         quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
         try:
@@ -59,7 +66,8 @@ class Pace:
         quick = self.quick(motion)
         if motion is None or quick is None:
             return None
-        factor = spill_stretch(quick, mount, spill_limit_deg)
+        carriage = self._carriages.of((quick, mount), lambda: Carriage(quick, mount))
+        factor = carriage.stretch(spill_limit_deg)
         slowed = None if factor is None else quick.stretched(factor)
         may_be_quicker = slowed is None or quick.duration_s <= motion.duration_s < slowed.duration_s
         # As it was planned its acceleration may make up for a tilt, as no other speed's does.

@@ -77,6 +77,7 @@ class MotionPlanner:
         self._answers = Answers(self._scenes, self._places, self._pace, self._mount_in, self._store)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
         self._reforms: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
+        self._contacts: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
         self.patience_s = FOR_EVER_S
         """How long `move` searches, on the wall, for what is quicker than an answer it has; see `patience`."""
 
@@ -225,11 +226,16 @@ class MotionPlanner:
         A load is kept within `spill_limit_deg`.
         """
         begin = checked_joints(start, self._limits_rad)
-        scene = self.scene(CLOSE_MARGIN_M, touching)
         if not waypoints:
             return self._stoppable(standing(begin))
-        motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
-        return self._borne(motion)
+
+        def made() -> StoppableTrajectory:
+            scene = self.scene(CLOSE_MARGIN_M, touching)
+            motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
+            return self._borne(motion)
+
+        way = tuple(pose.digest for pose in waypoints)
+        return self._contacts.of((begin.tobytes(), way, speed_m_per_s, touching, spill_limit_deg, self._geometry), made)
 
     def descent(
         self, place: str, from_above_m: float, speed_m_per_s: float, spill_limit_deg: float | None = None

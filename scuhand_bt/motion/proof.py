@@ -94,7 +94,11 @@ class Prover:
     def along(self, free_lines: Floats) -> JointTrajectory | None:
         """At rest in every vertex of a polyline (m, 7), exactly along lines that are known to be free."""
         course = self.law.straight(free_lines)
-        return course if self._follows_lines else self.proven(course)
+        if self._follows_lines:
+            return course
+        # In other coordinates it is looked at anyway.
+        is_looked_at = isinstance(self.space.coordinates, JointCoordinates) and self._looks_hit(course)
+        return None if is_looked_at else self.proven(course)
 
     @property
     def _follows_lines(self) -> bool:

@@ -136,22 +136,33 @@ def spill_stretch(
     None, too, where so much slower it would not be quicker than `quicker_than_s`. Slower by k, the tilt is the same and
     the acceleration 1/k^2.
     """
-    times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / GRID_S) + 2)
-    axes, accelerations = apex_motion(*motion.states(times_s), mount)
+    return Carriage(motion, mount).stretch(limit_deg, quicker_than_s)
 
-    def keeps(share: float) -> bool:
-        return worst_spill_deg(axes, share * accelerations) <= limit_deg
 
-    if keeps(1.0):
-        return 1.0
-    slow, quick = 0.0, 1.0
-    if not keeps(slow) or (quicker_than_s < math.inf and not keeps((motion.duration_s / quicker_than_s) ** 2)):
-        return None
-    for _ in range(10):
-        middle = (slow + quick) / 2
-        if keeps(middle):
-            slow = middle
-        else:
-            quick = middle
-    # A share of the acceleration that is all but nothing is no motion that anyone would wait for.
-    return 1 / math.sqrt(slow) if slow > LEAST_SHARE else None
+class Carriage:
+    """What a cone sees on a motion, for any load in it."""
+
+    def __init__(self, motion: "JointTrajectory", mount: Mount) -> None:
+        self._duration_s = motion.duration_s
+        times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / GRID_S) + 2)
+        self._axes, self._accelerations = apex_motion(*motion.states(times_s), mount)
+
+    def stretch(self, limit_deg: float, quicker_than_s: float = math.inf) -> float | None:
+        """As `spill_stretch`."""
+
+        def keeps(share: float) -> bool:
+            return worst_spill_deg(self._axes, share * self._accelerations) <= limit_deg
+
+        if keeps(1.0):
+            return 1.0
+        slow, quick = 0.0, 1.0
+        if not keeps(slow) or (quicker_than_s < math.inf and not keeps((self._duration_s / quicker_than_s) ** 2)):
+            return None
+        for _ in range(10):
+            middle = (slow + quick) / 2
+            if keeps(middle):
+                slow = middle
+            else:
+                quick = middle
+        # A share of the acceleration that is all but nothing is no motion that anyone would wait for.
+        return 1 / math.sqrt(slow) if slow > LEAST_SHARE else None

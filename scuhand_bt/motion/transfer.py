@@ -41,7 +41,7 @@ ATTEMPTS = 3
 _LOADED_DIRECTS = 4
 """Of the goals that are looked at together, to so many a direct motion is proven: a load's costs as much as an edge."""
 _SHORTCUTS = 20
-_DETOURS = 20
+_DETOURS = 12
 """Batches of random via points that are looked at before a start is given up."""
 _STRIDE = 4
 """Neighbours on the elbow's circle are much alike: of the goal's configurations every fourth is looked at first."""
@@ -147,10 +147,16 @@ class AtHand:
 
     motion: JointTrajectory | None = None
     """Keeps the task's limits: what comes is never slower."""
+    least_s: float = 0.0
+    """What takes less than this is of no use."""
     enough_s: float = 0.0
     """What takes no more than this is not improved on."""
     will_do: bool = False
     """Whether another motion will, if nothing is found: the search is made once, and not begun again."""
+    attempts: int = ATTEMPTS
+    """How often it is made otherwise."""
+    is_quick: bool = False
+    """Whether only direct motions and schedules of the joints are looked for, once."""
     patience: Patience = field(default_factory=Patience)
 
     def ends(self, best: JointTrajectory | None) -> bool:
@@ -162,10 +168,12 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
     """The quickest proven motion found within the effort, or None; the seed decides the search."""
     known = known or AtHand()
     # What is known for a stricter limit is level mostly: where tilting is allowed, it is what may be quicker.
-    spaces = task.spaces() if known.motion is None else task.spaces()[:1]
+    spaces = task.spaces() if known.motion is None and not known.is_quick else task.spaces()[:1]
     searches = [_Search(task, space, effort, known) for space in spaces]
     bound_s = float(task.bounds_s(task.goals.free[:1])[0])
     near_s, good_s = (max(known.enough_s, share * bound_s) for share in (effort.near_optimum, effort.good_enough))
+    if known.is_quick and known.enough_s:
+        near_s = good_s = known.enough_s
     best = known.motion
     # A load's motion is so much longer than the bound that a far goal may be as good as a near one.
     for goals in task.free_goals(near_s if task.spill_limit_deg is None else np.inf):
@@ -176,7 +184,10 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
         if known.ends(best):
             return best
     searches = [search for search in searches if len(search.ends)]
-    for attempt in range(1 if known.will_do else ATTEMPTS):
+    if known.is_quick:
+        # Not begun from a direct motion, which may be so slow that improving on it stands still.
+        return _quickest([best, *(one.quicker_than(None, np.random.default_rng(seed), good_s) for one in searches)])
+    for attempt in range(1 if known.will_do else known.attempts):
         rng = np.random.default_rng([seed, attempt] if attempt else seed)
         for search in searches:
             quicker = search.quicker_than(best, rng, good_s)
@@ -231,7 +242,8 @@ class _Search:
         ends, bounds_s = self.ends[:_NEAREST], self._bounds_s[:_NEAREST]
         schedules = ScheduleSearch(self._prover, self._task.rates, self._start, ends, bounds_s, coordinates.level)
         rounds = (_LOADED_ROUNDS if self._loaded else 1) * self._effort.schedule_rounds
-        return schedules.quickest(known, rng, rounds, good_s, self._effort.idle_rounds, self._known.ends)
+        least_s, idle_rounds = self._known.least_s, self._effort.idle_rounds
+        return schedules.quickest(known, rng, rounds, (least_s, good_s), idle_rounds, self._known.ends)
 
     def _by_detours(self, rng: np.random.Generator) -> JointTrajectory | None:
         """The best motion that begins with one via point."""

@@ -50,11 +50,18 @@ class Pour:
     tolerance_mark: Mark
     mass_input: str | None = None
     """The sample's input that its mass is, if it is one."""
+    beside_mg: float = 0.0
+    """How much more than `most_mg` is still in tolerance, at most; 0 where nothing bounds that."""
 
     @property
     def place(self) -> tuple[str | None, str | None]:
         """As in a run, the last dose of a lot into a container counts for both."""
         return self.container, self.lot
+
+    @property
+    def accepted_mg(self) -> float:
+        """The most that it may end with in tolerance, as far as it has a bound: there must be room for that."""
+        return 0.0 if self.most_mg is None else self.most_mg + self.beside_mg
 
 
 @dataclass(frozen=True)
@@ -356,7 +363,9 @@ class _Follower:
         most_mg = high_mg if math.isfinite(high_mg) else None
         if most_mg is None:
             self._tell_unbounded(node, at, mass_mark, reached)
-        stems = names.input_in(node, target)
+        stems, share = names.input_in(node, target), values[TOLERANCE]
+        beside_mg = share.ratio * high_mg if isinstance(share, Percent) else None
+        beside_mg = beside_mg or self._range(node, TOLERANCE, tolerance_mg, names)[1]
         pours = frozenset(
             Pour(
                 container,
@@ -368,14 +377,12 @@ class _Follower:
                 mass_mark=mass_mark,
                 tolerance_mark=tolerance_mark,
                 mass_input=stems,
+                beside_mg=beside_mg if math.isfinite(beside_mg) else 0.0,
             )
             for container in reached.containers
             for source in reached.sources
         )
         if node.result is not None and self._library.skills[node.name].result_type() is Dose:
-            share = values[TOLERANCE]
-            beside_mg = share.ratio * high_mg if isinstance(share, Percent) else None
-            beside_mg = beside_mg or self._range(node, TOLERANCE, tolerance_mg, names)[1]
             target_range: Ranges = {("target",): (low_mg, high_mg), ("tolerance",): (0.0, beside_mg)}
             names.keep(node.result, {**target_range, ("dispensed",): (0.0, high_mg + beside_mg)})
         self.pours += sorted(pours, key=lambda pour: (pour.container or "", pour.source or ""))

@@ -12,6 +12,7 @@ from scuhand_bt.recipe.flow import is_known, known
 from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.recipe.sample import Demand, Sample, demand_of, needed_mg
+from scuhand_bt.recipe.sources import REFILL
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.check import check_workflows
@@ -29,8 +30,6 @@ FINISH_BATCH = "finish_batch"
 """The lab's workflow after the last sample; input `source`."""
 AFTER_FAILURE = "after_failure"
 """The lab's workflow that makes the cell ready again after a failed sample; input `source`."""
-REFILL = "refill"
-"""The lab's workflow in which a person puts more powder into a mortar; input `source`."""
 RESERVE = 0.2
 """The share of its amount below which a mortar does not come where it is refilled: of little a scoop takes less than is
 expected, and more are made than are planned."""

@@ -21,7 +21,7 @@ from scuhand_bt.recipe.identity import Ids, wrong_id
 from scuhand_bt.recipe.leftover import with_leftover
 from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample
-from scuhand_bt.recipe.sources import SourcesReader
+from scuhand_bt.recipe.sources import REFILL, SourcesReader
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import check_workflows
@@ -186,7 +186,8 @@ class _Reader:
         on_failure, limit = self._read_on_failure(root.get("on_failure")), self._read_overshoot_limit(root)
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_asked([s for s in samples if self._is_sound(s.workflow)], self.lab.library, self.problems)
-        check_demand(samples, sources, self.source_marks, self.problems)
+        may_refill = REFILL in self.lab.library.workflows
+        check_demand(samples, sources, self.source_marks, self.problems, may_refill=may_refill)
         if self.lab.has_cell:
             try:
                 mount = read_mount(self.lab)

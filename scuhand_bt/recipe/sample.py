@@ -4,7 +4,7 @@ What it takes of its sources and puts into its containers is told by what its wo
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -93,7 +93,7 @@ class Sample:
         for pour in self.flow.pours:
             if pour.container and pour.lot and pour.most_mg is not None:
                 of_container = largest.setdefault(pour.container, {})
-                if pour.most_mg > (of_container[pour.lot].most_mg or 0.0 if pour.lot in of_container else 0.0):
+                if pour.lot not in of_container or pour.accepted_mg > of_container[pour.lot].accepted_mg:
                     of_container[pour.lot] = pour
         return {container: tuple(pours.values()) for container, pours in largest.items()}
 
@@ -235,19 +235,21 @@ def _check_room(
     mark: Mark,
     problems: Problems,
 ) -> None:
-    """What goes into one container must fit into it, and on the balance."""
-    filled_mg = sum(pour.most_mg or 0.0 for pour in pours)
+    """What goes into one container must fit into it, and on the balance: the most that is accepted as in tolerance."""
+    filled_mg = sum(pour.accepted_mg for pour in pours)
     if pours and container.empty_mass_mg + filled_mg > balance.maximum_mg:
         together = f"'{container.name}' ({format_mass(container.empty_mass_mg)}) and {format_mass(filled_mg)}"
         maximum = f"its maximum is {format_mass(balance.maximum_mg)}"
         problems.add(mark, f"{together} are too heavy for the balance", maximum, code="too-heavy")
     powders = {source.name: source.powder for source in sources}
-    parts = [(pour.most_mg or 0.0, powders[pour.source]) for pour in pours if pour.source]
-    volume_mm3 = sum(mass_mg / powder.bulk_density_mg_per_mm3 for mass_mg, powder in parts)
-    if volume_mm3 > container.capacity_mm3:
-        said = " and ".join(f"{format_mass(mass_mg)} of {powder.name}" for mass_mg, powder in parts)
+    parts = [(pour, powders[pour.source]) for pour in pours if pour.source]
+    if sum(pour.accepted_mg / powder.bulk_density_mg_per_mm3 for pour, powder in parts) > container.capacity_mm3:
+        said = " and ".join(f"{format_mass(pour.most_mg or 0.0)} of {powder.name}" for pour, powder in parts)
+        volume_mm3 = sum((pour.most_mg or 0.0) / powder.bulk_density_mg_per_mm3 for pour, powder in parts)
         fits = "does not fit" if len(parts) == 1 else "do not fit"
         what = f"{said} ({volume_mm3 / 1000:.2f} cm³) {fits} into '{container.name}'"
+        if (beside_mg := sum(pour.beside_mg for pour, _ in parts)) > 0.0:
+            what += f" with the {format_mass(beside_mg)} more that are in tolerance"
         holds = f"it holds {container.capacity_mm3 / 1000:.2f} cm³"
         if len(parts) == 1:
             holds = f"{holds}, {format_mass(container.capacity_mm3 * parts[0][1].bulk_density_mg_per_mm3)}"
@@ -255,21 +257,39 @@ def _check_room(
 
 
 def check_demand(
-    samples: Sequence[Sample], sources: Mapping[str, Source], marks: Mapping[str, Mark], problems: Problems
+    samples: Sequence[Sample],
+    sources: Mapping[str, Source],
+    marks: Mapping[str, Mark],
+    problems: Problems,
+    *,
+    may_refill: bool,
 ) -> None:
-    """Each source must hold what its samples need, losses included; one that is refilled, what any of them needs."""
+    """Each source must hold what its samples need, losses included; one that is refilled, what any of them needs.
+
+    `may_refill`: the lab has the workflow by which a person refills one on the way.
+    """
     for name, source in sources.items():
-        demand = demand_of(samples, source)
-        if source.refill_mg is not None:
-            most = max(samples, key=lambda sample: needed_mg(sample, source), default=None)
-            if most is not None and needed_mg(most, source) > source.refill_mg:
-                what = f"'{name}' is refilled with {format_mass(source.refill_mg)} of {source.powder.name}"
-                needs = f"'{most.id}' alone needs {format_mass(needed_mg(most, source))} with losses"
-                problems.add(marks[name], f"{what}, but {needs}", code="source-short")
-        elif demand.needed_mg > source.amount_mg:
+        demand, most_mg = demand_of(samples, source), max((needed_mg(one, source) for one in samples), default=0.0)
+        if source.refill_mg is not None and most_mg > source.refill_mg:
+            alone = next(sample for sample in samples if needed_mg(sample, source) == most_mg)
+            what = f"'{name}' is refilled with {format_mass(source.refill_mg)} of {source.powder.name}"
+            needs = f"'{alone.id}' alone needs {format_mass(most_mg)} with losses"
+            allowed = f"refill with at least {_rounded(most_mg, math.ceil)}" if most_mg <= source.amount_mg else ""
+            problems.add(marks[name], f"{what}, but {needs}", allowed, code="source-short")
+        elif source.refill_mg is None and demand.needed_mg > source.amount_mg:
             holds = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
             needs = f"its {demand.samples} samples need {format_mass(demand.needed_mg)} with losses"
-            problems.add(marks[name], f"{holds}, but {needs}", code="source-short")
+            ways = []
+            if demand.needed_mg <= source.capacity_mg:
+                ways.append(f"begin with at least {_rounded(demand.needed_mg, math.ceil)}")
+            if may_refill and most_mg <= source.amount_mg:
+                ways.append(f"let a person refill it on the way: refill: {_rounded(source.amount_mg, math.floor)}")
+            problems.add(marks[name], f"{holds}, but {needs}", ", or ".join(ways), code="source-short")
+
+
+def _rounded(mass_mg: float, towards: Callable[[float], int]) -> str:
+    """A mass to 0.1 mg as a recipe may have it, on this side of what it is."""
+    return format_mass(towards(10.0 * mass_mg) / 10.0)
 
 
 def check_reach(

@@ -14,6 +14,9 @@ from scuhand_bt.specs import Assay, Positive, Source
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Node, Scalar, describe
 
+REFILL = "refill"
+"""The lab's workflow in which a person puts more powder into a mortar; input `source`."""
+
 
 class SourceText(Assay):
     """A source as a recipe writes it."""

@@ -58,16 +58,21 @@ class VirtualClock:
         it what a killed program's process would not have.
         Raises RuntimeError if nothing can ever wake: no time is given and no process could fire.
         """
-        limit_s = min((wake.until_s for wake in wakes), default=math.inf)
-        signals = [(wake.signal, wake.seen) for wake in wakes if wake.signal is not None]
-        if math.isinf(limit_s) and (self.process is None or not signals):
+        limit_s, signals = math.inf, list[tuple[Signal, int]]()
+        for until_s, signal, seen in wakes:  # loops, here and in `_has_fired`: generators take twice as long
+            if until_s < limit_s:
+                limit_s = until_s
+            if signal is not None:
+                signals.append((signal, seen))
+        process, beat = self.process, self._beat
+        if math.isinf(limit_s) and (process is None or not signals):
             raise RuntimeError("a wait without end: no time given, and nothing that could fire")
-        if self.process is not None and not again:
-            self.process.save()
-        self._beat()
+        if process is not None and not again:
+            process.save()
+        beat()
         while self.now_s < limit_s and not _has_fired(signals):
-            self.now_s = limit_s if self.process is None else self.process.step(self.now_s, limit_s)
-            self._beat()
+            self.now_s = limit_s if process is None else process.step(self.now_s, limit_s)
+            beat()
             self._keep_pace()
 
     def hold(self, wakes: Sequence[Wake]) -> None:
@@ -94,7 +99,7 @@ class VirtualClock:
 
 
 def _has_fired(signals: Sequence[tuple[Signal, int]]) -> bool:
-    """Looked at after every step of the world: a loop, as a generator costs twice as much."""
+    """Looked at after every step of the world."""
     for signal, seen in signals:  # noqa: SIM110
         if signal.count != seen:
             return True

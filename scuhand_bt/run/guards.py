@@ -46,15 +46,19 @@ class Guards:
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
         self._devices: list[Device] = [cell.device(name) for name in DEVICES]
-        self._signals = list({id(device.news): device.news for device in self._devices}.values())
+        signals = {id(device.news): device.news for device in self._devices}.values()
+        self._wakes = [Wake.on(signal) for signal in signals]
         self._seen: Reading | None = None
         self._beyond_since_s: float | None = None
         self._still_since_s: float | None = None
         self._rise = _Rise(BLOCK_S, 0.0)
 
     def wakes(self) -> list[Wake]:
-        """When to look again."""
-        return [Wake.on(signal) for signal in self._signals]
+        """When to look again, counted from now."""
+        for number, (_, signal, seen) in enumerate(self._wakes):
+            if signal is not None and signal.count != seen:
+                self._wakes[number] = Wake.on(signal)
+        return self._wakes.copy()
 
     def look(self) -> SkillFailed | None:
         """What has gone wrong, if anything has; cheap enough for every reading."""

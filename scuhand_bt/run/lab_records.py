@@ -30,10 +30,14 @@ from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 class LabRecords:
     """The lab's side of one run; `folder` keeps the lab's state. A run on the real cell starts from its `stock`.
 
+    Of a run that is not `is_kept`, nothing is told.
+
     Raises SourceError for a lab's database that cannot be read, or a key that cannot be used.
     """
 
-    def __init__(self, folder: Path, lab: Lab, run: str, recipe: str, simulation: Simulation | None) -> None:
+    def __init__(
+        self, folder: Path, lab: Lab, run: str, recipe: str, simulation: Simulation | None, *, is_kept: bool
+    ) -> None:
         self.notices: list[str] = []
         """What went wrong beside the batch: a notification that failed, an inventory that could not be kept."""
         self.learnt = LabState(folder)
@@ -42,13 +46,15 @@ class LabRecords:
         self.stock: Stock = self._inventory.stock(simulated=False) if simulation is None else {}
         self._run, self._recipe, self._simulation = run, recipe, simulation
         self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="inventory")
-        self._notifier = Notifier(lab.cell.notify)
+        self._notifier = Notifier(lab.cell.notify if is_kept else None)
         self._clock_watch = ClockWatch()
+        self._is_kept = is_kept
 
     def begin(self, journal: Journal, cell: Cell) -> None:
         """Hear all that the journal is told from now on."""
         self._journal, self._cell = journal, cell
-        journal.heard = self._heard
+        if self._is_kept:
+            journal.heard = self._heard
 
     def odd_clock(self, since: str | None) -> str | None:
         """What is odd about the clock, held against this lab's last word and what the run had written, `since`."""
@@ -65,9 +71,10 @@ class LabRecords:
 
     def batch_ended(self) -> None:
         """Keep what was learnt and what is left. Raises RecordLost where the journal takes no more."""
-        if (problem := self.learnt.keep(self._cell, self._run)) is not None:
-            self._trouble(problem)
-        self._keep_inventory()
+        if self._is_kept:
+            if (problem := self.learnt.keep(self._cell, self._run)) is not None:
+                self._trouble(problem)
+            self._keep_inventory()
         self._beside.shutdown()
 
     def came_to(self, result: BatchResult) -> None:

@@ -201,7 +201,7 @@ def _dry_run(
         lab.cell,
         plan.recipe.sources,
         clock=clock,
-        record=Record(journal.event, journal.waits),
+        record=_record(journal),
         motion=motion,
         operator=operator,
         seed=dry_run.seed,
@@ -357,7 +357,7 @@ def _wired_cell(
     return Cell(
         spec=lab.cell,
         clock=clock,
-        record=Record(journal.event, journal.waits),
+        record=_record(journal),
         arm=devices.arm,
         hand=devices.hand,
         balance=devices.balance,
@@ -368,6 +368,10 @@ def _wired_cell(
         simulated=simulated,
         devices=devices.others,
     )
+
+
+def _record(journal: Journal) -> Record:
+    return Record(journal.event, journal.waits, journal.course if journal.is_kept else None)
 
 
 def _follow_hands(world: World, cell: Cell) -> None:

@@ -45,6 +45,9 @@ class Options:
     """A person is asked before each action."""
     slow_ratio: float = 1.0
     """Of the cell's own speeds: what arm, roller and changer may go at; see `CellSpec.slowed`."""
+    is_kept: bool = True
+    """A journal is kept, and what else outlives a run. Of a dry run that nobody will look at again, nothing is: nobody
+    is told of it either, and nothing is learnt."""
 
 
 def options_of(history: History, folder: Path) -> Options:

@@ -165,14 +165,17 @@ class Runner:
         """Tick until the root has ended (None), or the job is interrupted."""
         clock, control, guards = self._cell.clock, self._control, self._guards
         ticks_now, last_s = 0, -1.0
+        has_looked = False
         while True:
             wish = self._wish()
             if control.halts:
                 return Outcome(interrupted="stopped" if control.stops_now else "paused")
-            if (fault := guards.look()) is not None:
+            if not has_looked and (fault := guards.look()) is not None:
                 return Outcome(fault, "tripped")
+            has_looked = False
             shared.is_pausing = control.is_pausing
-            root.tick_once()
+            if not shared.goes_on():
+                root.tick_once()
             self._observer.ticked(root)
             if root.status is not Status.RUNNING:
                 return None
@@ -194,22 +197,25 @@ class Runner:
                 continue
             if (fault := self._wait(root, shared, wish)) is not None:
                 return Outcome(fault, "tripped")
+            has_looked = True
 
     def _wait(self, root: Behaviour, shared: Ticking, wish: Wake) -> SkillFailed | None:
         """Wait for the next tick; what a guard found in the meantime, if one tripped."""
         clock, control = self._cell.clock, self._control
         wakes = [*shared.wakes(), wish]
         silence = Wake(clock.now_s + MAX_SILENCE_S)
-        nothing_timed = all(math.isinf(wake.until_s) for wake in wakes)
         again = False
         while True:
             clock.wait([*wakes, silence, *self._watched()], again=again)
             again = True
             if (fault := self._look()) is not None:
                 return fault
-            if any(wake.has_fired or clock.now_s >= wake.until_s for wake in wakes):
-                return None
-            if nothing_timed and clock.now_s >= silence.until_s and not control.halts:
+            now_s = clock.now_s
+            for wake in wakes:
+                if now_s >= wake.until_s or wake.has_fired:
+                    return None
+            nothing_timed = now_s >= silence.until_s and all(math.isinf(wake.until_s) for wake in wakes)
+            if nothing_timed and not control.halts:
                 raise SkillBug(f"{_running(root)} waits for something that never comes")
 
     def _watched(self) -> list[Wake]:

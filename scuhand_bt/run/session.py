@@ -84,7 +84,8 @@ class Session:
         else:
             path = resumes.path
         self.run_id = path.stem
-        self._records = LabRecords(path.parent.parent, lab, self.run_id, plan.recipe.name, options.simulation)
+        is_kept, simulation = options.is_kept, options.simulation
+        self._records = LabRecords(path.parent.parent, lab, self.run_id, plan.recipe.name, simulation, is_kept=is_kept)
         self.notices = self._records.notices
         self._person = options.person or Person(user_name())
         self.control.at_terminal = Who(self._person.name)
@@ -93,12 +94,12 @@ class Session:
         with ExitStack() as opened:
             self._holds = opened.enter_context(ExitStack())
             presence = resumes.presence if resumes is not None else None
-            self._holds.callback((presence or take_run(path)).end)
-            if options.simulation is None:
+            if is_kept:
+                self._holds.callback((presence or take_run(path)).end)
+            if simulation is None:
                 self._holds.callback(take_cell(path.parent.parent).end)
-            self.journal = _open_journal(
-                path, is_new=resumes is None, durable=not isinstance(options.simulation, DryRun)
-            )
+            durable = not isinstance(simulation, DryRun)
+            self.journal = _open_journal(path, is_new=resumes is None, durable=durable, is_kept=is_kept)
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
             if self._history is not None and self.journal.head != self._history.head:
                 problem = "another process went on with it meanwhile; resume it again, to hear where it stands now"
@@ -128,10 +129,11 @@ class Session:
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
         journal, options, history = self.journal, self._options, self._history
-        self._listener = _listen(journal.path, self.control)
+        if options.is_kept:
+            listener = _listen(journal.path, self.control)
+            self._holds.callback(listener.end)
         if history is None and isinstance(options.simulation, Rehearsal):  # of one that never began nothing is left
             opened.callback(shutil.rmtree, folder_of_run(journal.path), ignore_errors=True)
-        opened.callback(self._listener.end)
         setup = set_up(
             self.plan,
             self._lab,
@@ -142,7 +144,7 @@ class Session:
             person=self._person,
             questions=self.control.questions,
             terminal=self.control.terminal,
-            world_path=world_path(journal.path),
+            world_path=world_path(journal.path) if options.is_kept else None,
             resumed_at_s=None if history is None else history.time_s,
             may_torque=options.may_torque,
         )
@@ -153,7 +155,8 @@ class Session:
             self.cell.controller = options.controller
         self.cell.balance.on_reading = self._weighed
         self.control.balance = lambda: self.cell.balance.latest
-        MotionRecord(self.cell, self.journal.event)
+        if options.is_kept:
+            MotionRecord(self.cell, self.journal.event)
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
         self._records.begin(journal, self.cell)
@@ -200,6 +203,8 @@ class Session:
             self._records.learnt.recall(self.cell, datetime.now().astimezone())
             for name in self._records.learnt.unreadable():
                 self.warnings.append(f"what another version has learnt of '{name}' cannot be read: it is learnt anew")
+        if not self._options.is_kept:
+            return
         if resumes is None:
             begun = described(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
             with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
@@ -311,7 +316,6 @@ class Session:
         """Close the devices, wait for what is being told of the run, and close the journal."""
         with ExitStack() as closing:
             closing.callback(self._holds.close)
-            closing.callback(self._listener.end)
             closing.callback(self._records.anchor_end)
             closing.callback(self.journal.close)
             closing.callback(self._records.finish_telling)
@@ -325,12 +329,12 @@ def _listen(journal: Path, control: Control) -> WishListener:
         raise SourceError([Problem(Mark(str(journal)), BEING_RUN.format(journal.stem))]) from None
 
 
-def _open_journal(path: Path, *, is_new: bool, durable: bool) -> Journal:
+def _open_journal(path: Path, *, is_new: bool, durable: bool, is_kept: bool) -> Journal:
     try:
-        if is_new:  # two runs of one second may draw one id: the second one ends here
+        if is_new and is_kept:  # two runs of one second may draw one id: the second one ends here
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch(exist_ok=False)
-        return Journal(path, durable=durable)
+        return Journal(path, durable=durable, is_kept=is_kept)
     except (OSError, sqlite3.Error) as error:
         problem = Problem(Mark(str(path)), f"the journal cannot be written: {error}; nothing was moved")
         raise SourceError([problem]) from None

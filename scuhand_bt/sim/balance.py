@@ -156,13 +156,12 @@ class SimulatedBalance:
         digit_mg = self.spec.readability_mg
         value_mg = round(value_mg / digit_mg) * digit_mg
         self._overloaded = value_mg > self.spec.maximum_mg or "balance.overload" in self.faults.active
-        values = self._values
-        values.append(value_mg)
+        self._values.append(value_mg)
         stable = False
-        if len(values) == 2 * self._half:
-            newer = 0.0
-            for index in range(self._half, 2 * self._half):
-                newer += values[index] - values[index - self._half]
+        if len(self._values) == 2 * self._half:
+            values, newer = list(self._values), 0.0
+            for old_mg, new_mg in zip(values, values[self._half :], strict=False):
+                newer += new_mg - old_mg
             stable = abs(newer) <= BAND_DIGITS * digit_mg * self._half
         stable = stable and "balance.unstable" not in self.faults.active
         if self._overloaded:  # it says so, and no mass

@@ -321,17 +321,25 @@ class HeightField:
         floor = floor + kept
         surface = floor + top
         slope = np.where(top > GRAINS_THICK * self._grain_mm, self._steep, self._slick)
-        sets = [(a, b, *self._between(a, b, apart, surface, slope)) for a, b, apart in self._pairs]
+        sets = []
+        for a, b, apart in self._pairs:  # views of both, and what is worked out in place: a sweep is all of the cost
+            limit, half = self._between(a, b, apart, surface, slope)
+            sets.append((surface[a], surface[b], top[a], top[b], limit, -limit, half, *np.empty((2, *limit.shape))))
         for sweep in range(sweeps):
             before = top.copy() if sweep % CHECKED == 0 else None
-            for a, b, limit, half in sets:
-                fall = surface[a] - surface[b]
-                flow = (fall - np.minimum(np.maximum(fall, -limit), limit)) * half
-                flow = np.maximum(np.minimum(flow, top[a]), -top[b])
-                top[a] -= flow
-                surface[a] -= flow
-                top[b] += flow
-                surface[b] += flow
+            for surface_a, surface_b, top_a, top_b, limit, lowest, half, flow, other in sets:
+                np.subtract(surface_a, surface_b, out=flow)
+                np.maximum(flow, lowest, out=other)
+                np.minimum(other, limit, out=other)
+                flow -= other
+                flow *= half
+                np.minimum(flow, top_a, out=flow)
+                np.negative(top_b, out=other)
+                np.maximum(flow, other, out=flow)
+                top_a -= flow
+                surface_a -= flow
+                top_b += flow
+                surface_b += flow
             if before is not None and float(np.abs(top - before).max()) < AT_REST_MM:
                 break
         lost = self._outside if over is None else (self._outside & ~over) | self._border

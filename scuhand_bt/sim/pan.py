@@ -10,7 +10,7 @@ import numpy as np
 
 from scuhand_bt.clock import Signal
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, WASTE, MassLedger, in_container
+from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, WASTE, Compartment, MassLedger, in_container
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.specs import Container
 
@@ -38,6 +38,7 @@ class Pan:
         self._ledger, self._seed, self._faults = ledger, seed, faults
         self._containers: dict[str, tuple[Container, float]] = {}
         self._empty_mg = 0.0
+        self._inside: Compartment | None = None
         self._gone: list[str] = []  # containers that a hand has carried off
         self._strangers: list[str] = []  # containers that are not those they were
         self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
@@ -120,7 +121,7 @@ class Pan:
         """What the balance carries without `landing_mg` of it [mg]."""
         masses_mg = self._ledger.masses_mg
         on_pan_mg = self._empty_mg + masses_mg[PAN] - landing_mg
-        return on_pan_mg if self.container_id is None else on_pan_mg + masses_mg[in_container(self.container_id)]
+        return on_pan_mg if self._inside is None else on_pan_mg + masses_mg[self._inside]
 
     @property
     def mouth_mm(self) -> float:
@@ -129,8 +130,8 @@ class Pan:
 
     def land(self, mass_mg: float, density_mg_per_mm3: float) -> None:
         """Let powder from the air fall into the container's mouth; what it has no room for lies beside it."""
-        if self.container_id is not None:
-            into = in_container(self.container_id)
+        if self.container_id is not None and self._inside is not None:
+            into = self._inside
             capacity_mg = self._containers[self.container_id][0].capacity_mm3 * density_mg_per_mm3
             into_mg = min(mass_mg, max(0.0, capacity_mg - self._ledger.masses_mg[into]))
             self._ledger.transfer(FLIGHT, into, into_mg)
@@ -169,6 +170,7 @@ class Pan:
 
     def _put(self, container_id: str | None) -> None:
         self.container_id = container_id
+        self._inside = in_container(container_id) if container_id is not None else None
         self._empty_mg = self._containers[container_id][1] if container_id is not None else 0.0
 
 

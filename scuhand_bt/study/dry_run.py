@@ -5,11 +5,11 @@ kept: the lab, the plan, its motions.
 """
 
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
 from functools import lru_cache
 from pathlib import Path
 
-from scuhand_bt.journal.reader import open_journal
+from scuhand_bt.events import Discarded, Event, Kept, Note, Refilled, Returned, Scooped
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Job, Plan, make_plan
@@ -21,49 +21,36 @@ from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
 from scuhand_bt.study.change import changed
 from scuhand_bt.study.some_cell import SomeCell
-from scuhand_bt.study.trial import LEFTOVERS, SampleTrial, Setup, Trial, into
+from scuhand_bt.study.trial import SampleTrial, Setup, Trial, into
 
 SOME_CELL = f"{SomeCell.__module__}:{SomeCell.__name__}"
-
-
-_REFILLED = """
-SELECT json_extract(payload, '$.source'), SUM(json_extract(payload, '$.mass_mg')) FROM entry
-WHERE kind = 'refilled' GROUP BY 1
-"""
 
 
 def dry_run(setup: Setup, seed: int) -> Trial:
     """One dry run. SourceError for a recipe, a lab or changes that are wrong."""
     plan, lab, motion = _made(setup)
-    began = _Began()
+    began, moved = _Began(), _Moved()
     plant = SOME_CELL if setup.plant is None else setup.plant
     SomeCell.seed = seed
     with tempfile.TemporaryDirectory(prefix="scuhand-trial-") as folder:
         runs = Path(folder) / "runs"
-        session = Session(plan, lab, Options(DryRun(seed, plant), setup.controller, runs), motion)
+        session = Session(plan, lab, Options(DryRun(seed, plant), setup.controller, runs, is_kept=False), motion)
         assert session.world is not None
-        session.world.close()  # in no file: no trial is resumed
         try:
             before_mg = session.world.masses_mg
             began.session = session
+            session.journal.heard = moved.heard
             result = session.run(began)
             after_mg = session.world.masses_mg
         finally:
             session.close()
-        with open_journal(session.journal.path) as (database, _):
-            scooped = database.execute("SELECT json_extract(payload, '$.source') FROM entry WHERE kind = 'scoop'")
-            scoops = Counter(source for (source,) in scooped)
-            refilled_mg = dict(database.execute(_REFILLED).fetchall())
-            leftovers = database.execute(
-                "SELECT json_extract(payload, '$.source'), kind, json_extract(payload, '$.to'),"
-                " SUM(json_extract(payload, '$.expected_mg')) FROM entry WHERE kind IN (?, ?, ?) GROUP BY 1, 2, 3",
-                LEFTOVERS,
-            ).fetchall()
     vessels = {station.name for station in lab.cell.vessels}
-    became_mg: dict[str, Counter[str]] = {name: Counter() for name in plan.recipe.sources}
-    for source, kind, station, mass_mg in leftovers:
-        if source in became_mg:
-            became_mg[source][into(station) if station in vessels else kind] += mass_mg
+    became_mg = {name: defaultdict[str, float](float) for name in plan.recipe.sources}
+    for event in moved.left:
+        if event.source in became_mg:
+            to = event.to if isinstance(event, Discarded) else None
+            became = into(to) if to is not None and to in vessels else event.KIND
+            became_mg[event.source][became] += event.expected_mg
     names = list(plan.recipe.sources)
     samples = tuple(
         SampleTrial(
@@ -80,7 +67,7 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         )
         for one in result.samples
     )
-    had_mg = {name: before_mg.get(f"source:{name}", 0.0) + refilled_mg.get(name, 0.0) for name in names}
+    had_mg = {name: before_mg.get(f"source:{name}", 0.0) + moved.refilled_mg[name] for name in names}
     used_mg = {name: had_mg[name] - after_mg.get(f"source:{name}", 0.0) for name in names}
     return Trial(
         seed,
@@ -88,7 +75,7 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         result.duration_s,
         began.at_s,
         samples,
-        {name: scoops[name] for name in names},
+        {name: moved.scoops[name] for name in names},
         used_mg,
         {name: dict(mg) for name, mg in became_mg.items()},
     )
@@ -104,6 +91,24 @@ class _Began(BatchObserver):
 
     def job_started(self, job: Job, number: int) -> None:
         self.at_s.setdefault(job.name, self.session.cell.clock.now_s)
+
+
+class _Moved:
+    """What has become of the sources' powder, as the run tells its journal."""
+
+    def __init__(self) -> None:
+        self.scoops = Counter[str]()
+        self.refilled_mg = defaultdict[str, float](float)
+        self.left: list[Kept | Returned | Discarded] = []
+
+    def heard(self, event: Event | Note) -> None:
+        match event:
+            case Scooped():
+                self.scoops[event.source] += 1
+            case Refilled():
+                self.refilled_mg[event.source] += event.mass_mg
+            case Kept() | Returned() | Discarded():
+                self.left.append(event)
 
 
 @lru_cache(maxsize=2)
