@@ -258,8 +258,8 @@ class BalanceSpec(Spec):
 
     @property
     def confirmed_tolerance_mg(self) -> float:
-        """Four digits: of doses within less, fewer than nine in ten are told so (docs/weighing.md has the figures)."""
-        return 4.0 * self.readability_mg
+        """Five digits: of doses within less, nine in ten are not always told so (docs/weighing.md has the figures)."""
+        return 5.0 * self.readability_mg
 
     @property
     def lost_after_s(self) -> float:

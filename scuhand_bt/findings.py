@@ -75,7 +75,7 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A tolerance below what the balance can tell.", "At least two digits of the balance."
         ),
         "hardly-told": _warning(
-            "A tolerance of less than four of the balance's digits: many doses are flagged though they are right.",
+            "A tolerance of less than five of the balance's digits: doses are flagged though they are right.",
             "A wider tolerance, or a balance of finer digits (docs/weighing.md says what is told of which).",
         ),
         "wide-tolerance": Finding("A tolerance as large as its mass.", "A smaller tolerance, or a larger mass."),

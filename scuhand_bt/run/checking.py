@@ -152,8 +152,8 @@ def _check_telling(recipe: Recipe, lab: Lab, problems: Problems) -> None:
         told.add(tolerance_mg)
         if tolerance_mg < balance.confirmed_tolerance_mg:
             digits = f"digits of {balance.readability_mg:g} mg"
-            what = f"of doses within ± {tolerance_mg:g} mg many will be flagged though they are right: {digits}"
-            remedy = f"from {balance.confirmed_tolerance_mg:g} mg on most are told; or a balance of finer digits"
+            what = f"of doses within ± {tolerance_mg:g} mg some or many are flagged though they are right: {digits}"
+            remedy = f"ask for {balance.confirmed_tolerance_mg:g} mg or more, or take a balance of finer digits"
             problems.warn(_tolerance_mark(recipe, sample), what, remedy, code="hardly-told")
 
 
