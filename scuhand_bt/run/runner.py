@@ -165,17 +165,14 @@ class Runner:
         """Tick until the root has ended (None), or the job is interrupted."""
         clock, control, guards = self._cell.clock, self._control, self._guards
         ticks_now, last_s = 0, -1.0
-        has_looked = False
         while True:
             wish = self._wish()
             if control.halts:
                 return Outcome(interrupted="stopped" if control.stops_now else "paused")
-            if not has_looked and (fault := guards.look()) is not None:
+            if (fault := guards.look()) is not None:
                 return Outcome(fault, "tripped")
-            has_looked = False
             shared.is_pausing = control.is_pausing
-            if not shared.goes_on():
-                root.tick_once()
+            root.tick_once()
             self._observer.ticked(root)
             if root.status is not Status.RUNNING:
                 return None
@@ -197,7 +194,6 @@ class Runner:
                 continue
             if (fault := self._wait(root, shared, wish)) is not None:
                 return Outcome(fault, "tripped")
-            has_looked = True
 
     def _wait(self, root: Behaviour, shared: Ticking, wish: Wake) -> SkillFailed | None:
         """Wait for the next tick; what a guard found in the meantime, if one tripped."""

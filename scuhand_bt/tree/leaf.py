@@ -120,42 +120,17 @@ class Ticking:
         self.bugs: list[SkillBug] = []
         """What broke while it was halted: it must not keep the rest of the tree from being halted too."""
         self._waiting: dict[Behaviour, Sequence[Wake]] = {}
-        self._watching: set[Behaviour] = set()
 
     def wait(self, node: Behaviour, *wakes: Wake) -> None:
         """Note when `node` wants the next tick; replaces what it asked for before."""
         self._waiting[node] = wakes
 
-    def watch(self, node: Behaviour, *wakes: Wake) -> None:
-        """The same of a node that looks at the cell in every tick, whatever that is for."""
-        self._waiting[node] = wakes
-        self._watching.add(node)
-
     def done(self, node: Behaviour) -> None:
         self._waiting.pop(node, None)
-        self._watching.discard(node)
 
     def wakes(self) -> list[Wake]:
         """All that the tree waits for now."""
         return [wake for wakes in self._waiting.values() for wake in wakes]
-
-    def goes_on(self) -> bool:
-        """Whether the one action of the tree has done its next step, and waits again; else the tree is to be ticked.
-
-        Nothing else of the tree can have changed then: a tick would come to the same, and takes some times as long. So
-        it is only where no other action waits, nothing is looked at in every tick, and no node's time has come.
-        """
-        if self._watching or self.replay.is_replaying:
-            return False
-        leaf, now_s = None, self.cell.clock.now_s
-        for node, wakes in self._waiting.items():
-            if isinstance(node, SkillLeaf):
-                if leaf is not None:
-                    return False
-                leaf = node
-            elif any(now_s >= wake.until_s or wake.has_fired for wake in wakes):
-                return False
-        return leaf is not None and leaf.goes_on()
 
 
 class SkillLeaf(Behaviour):
@@ -182,14 +157,13 @@ class SkillLeaf(Behaviour):
         self._wake: Wake | None = None
         self._began_waiting_s = self._rest_deadline_s = 0.0
         self._ended: tuple[str, Any] | None = None
-        self._came_to: Status | None = None  # before the tree was ticked
         self._is_recorded = self._may_begin = False
         self._recorded: Recorded | None = None
 
     def initialise(self) -> None:
         self.visits += 1
         self.failure = None
-        self._steps = self._wake = self._ended = self._came_to = None
+        self._steps = self._wake = self._ended = None
         self._is_recorded = self._may_begin = False
         self._recorded = self._shared.replay.recorded(self.path, self.visits)
         self._began_waiting_s = self._shared.cell.clock.now_s
@@ -200,21 +174,7 @@ class SkillLeaf(Behaviour):
         replay = self._shared.replay
         return replay.is_replaying and self._recorded is not None and self._recorded.outcome == "halted"
 
-    def goes_on(self) -> bool:
-        """Do the next step of a skill that is at work and due, without the tree; whether it waits again.
-
-        What it has come to else, the tree hears in its next tick.
-        """
-        if self._wake is None or not self._is_due(self._wake):
-            return False
-        status = self.update()
-        if status is not Status.RUNNING:
-            self._came_to = status
-        return status is Status.RUNNING
-
     def update(self) -> Status:
-        if self._came_to is not None:
-            return self._came_to
         try:
             if self.is_stuck:
                 return Status.RUNNING

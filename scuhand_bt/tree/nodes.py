@@ -72,7 +72,7 @@ class While(SequenceNode):
         had_begun = self.status is Status.RUNNING and self._child.status is Status.RUNNING
         for node in super().tick():
             if node is self and self.status is Status.RUNNING:  # before a parent takes this for the tick's end
-                self._shared.watch(self, *(Wake.on(self._shared.cell.device(name).news) for name in self._devices))
+                self._shared.wait(self, *(Wake.on(self._shared.cell.device(name).news) for name in self._devices))
             if node is self and self.status is Status.FAILURE and self._child.status is not Status.FAILURE:
                 decision = Decision(failure_of(self), had_begun)
                 self._shared.listener.decided(self.path, self._visits, decision)
