@@ -341,6 +341,15 @@ def test_two_loads_that_brought_nothing_are_told_as_such(rig: Rig) -> None:
             rig.dispense(0.0, reason="no_flow")
 
 
+def test_loads_that_do_not_give_what_little_a_dose_lacks_are_not_told_as_nothing(rig: Rig) -> None:
+    for brings_mg in (45.0, 0.0, 0.0):
+        rig.cell.believed.emptied()
+        rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
+        with pytest.raises(SkillFailed, match=r"hand\.no_flow"):
+            rig.dispense(brings_mg, reason="no_flow")
+    assert rig.cell.believed.yields == {}
+
+
 def test_a_cone_that_ran_empty_holds_nothing_and_what_it_was_thought_to_hold_is_in_the_mortar(rig: Rig) -> None:
     rig.cell.believed.cone_holds(rig.cell.sources["store"], 700.0)
     with pytest.raises(SkillFailed, match=r"hand\.cone_empty"):
