@@ -246,9 +246,7 @@ def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:
     before_mm3 = volume_mm3 * np.array([_before_lip(steep, stroke, bed, sheet_radius_mm) for steep in steeps.tolist()])
     heap_mm = np.sqrt(2 * before_mm3 / stroke.closed_mm / (on_wall + beside))
     below_edge_mm = mortar.depth_mm - mortar.bowl_radius_mm * (1 - np.cos(steeps))
-    is_over = (heap_mm > THIN_MM) & (heap_mm > below_edge_mm - max(NEAR_EDGE_MM, bed.powder.grain_mm))
-    if not is_over.any():
-        return stroke
+    is_over = heap_mm > below_edge_mm - max(NEAR_EDGE_MM, bed.powder.grain_mm)
     return replace(stroke, end_mm=mortar.bowl_radius_mm * float(steeps[max(0, int(is_over.argmax()) - 1)]))
 
 
