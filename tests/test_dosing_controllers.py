@@ -173,11 +173,11 @@ def test_the_last_of_a_dose_is_not_shaken_out_of_a_loads_rest_where_a_fresh_one_
 
 
 def test_far_from_the_target_a_loads_rest_is_shaken_out() -> None:
-    rig = Bench(POWDERS["monosodium_glutamate"], 3400.0, 3, 0, Setting(load_ratio=0.8))
+    rig = Bench(POWDERS["monosodium_glutamate"], 3700.0, 3, 0, Setting(load_ratio=0.8))
     dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True)
     assert dosed.run.finish.reason == "rest"
     assert any(point.vibration for point in dosed.run.curve)
-    assert -200.0 < dosed.true_error_mg < -2.0
+    assert -500.0 < dosed.true_error_mg < -2.0
 
 
 @pytest.mark.parametrize(
