@@ -74,7 +74,7 @@ LEFT_MG = 1.0
 PRIMES_S = 10.0
 """A fresh load may give nothing for so long, open and fully shaken: that says nothing of its flow."""
 LAST_MG = 500.0
-"""So near to the target the rest of a load is left for a fresh one: shaken it flows two to five times as fast as before,
+"""So near to the target the rest of a load is left for a fresh one: shaken it flows several times as fast as before,
 which is seen late."""
 FLOWED_SHARE = 1 / 3
 """Of a load; before, a bridge is likelier than that the rest does not flow."""
