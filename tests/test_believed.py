@@ -207,7 +207,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "pan_empty_mg": 20_031.0,
         "pan_gross_mg": 20_031.0,
         "sources_mg": {"beads": 2000.0},
-        "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0, "beside_mg": 0.0, "sides_per_mm": 0.0}},
+        "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0, "beside_mg": 0.0}},
         "has_closed": True,
         "dosing": {
             "began_s": 4.0,

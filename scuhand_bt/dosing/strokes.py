@@ -1,24 +1,16 @@
 """Which stroke is made: by what lies in the mortar, and what is wanted in the cone.
 
-A lip that follows the wall at a gap g takes what lies above that, and leaves a layer, not a level bed. Over the lip it
-is as thick as the gap, less what the sheet bends down to it; beside that it is thicker: the rim, of radius a where the
-lip is lowest, is narrower than the wall's section in its plane, of R cos(alpha - beta), so that y beside its lip it is
-y^2 / 2 (1 / a - 1 / (R cos(alpha - beta))) above the wall, in its plane. As strokes go in all directions, half of that
-is left at a distance r from the middle:
+A lip that follows the wall at a gap g takes what lies above that, and leaves a layer as thick as the gap, not a level
+bed. So the thickness t of that, across the wall, is where the wall is h high and phi steep
 
-    left(r) = max(0, g - GIVES - LOOSE grain + k r^2),
-    k = (1 / a - 1 / (R cos(alpha - beta))) cos(alpha - beta) / 4
-
-So the thickness t of that, across the wall, is where the wall is h high and phi steep
-
-    t = min(left, (level - h) cos phi),    level so that  m = density sum(t dA)
+    t = min(gap, (level - h) cos phi),    level so that  m = density sum(t dA)
 
 What has come since lies level on the layer, t = max(t, (level' - h) cos phi), as all of it does in a bed that was never
 scooped from. What has fallen back before lips that left the wall, b in all, lies high up instead, beside the strip of
 the strokes that come, which are turned; on a wall of the attack's slope beta it slides down where that is steeper than
 its repose rho. A stroke with half of its rim e, in a bed of radius r, is expected to push
 
-    density w(e / r) sum(max(0, t - left) dA) + f b,    f = 1 - rho / beta, at least 0.3,
+    density w(e / r) sum(max(0, t - g) dA) + f b,    f = 1 - rho / beta, at least 0.3,
     w(u) = 2 / pi (asin u + u sqrt(1 - u^2)), at most 1
 
 w is the strip's share of a disc. Where the sheet, of radius L, is too large for the bowl, of radius R, the axis leans
@@ -72,22 +64,15 @@ LITTLE_SHARE = 0.25
 SWEPT_SHARE = 0.6
 """A stroke that takes all there is begins so far up the wall at least: what others have left lies beside them."""
 REACHED = 0.85
-"""Of what others have left, the share that a stroke that takes all finds in a bowl that the sheet is too large for. By
-the height field; ours."""
+"""Of what others have left, the share that a stroke that takes all finds: what lies beside its rim it does not. By the
+height field; ours."""
 FOUND_BESIDE = 0.3
 """Of what has fallen back, the share that a stroke finds at least."""
 LOOSE_GRAINS = 0.7
 """Grains whose tops are above the lip go along, and beside a wall grains lie loosely: so much of one, of what is below
 the gap, is not left. By discrete elements beds of 3 to 6 beads were so much thicker than they were heavy."""
-GIVES_MM = 0.5
-"""By so much the sheet bends down to what it leaves: assumed of a sheet of 0.2 mm, not measured. Between strokes that
-leave layers it cancels; of a first load it decides."""
-TOO_LARGE = 1.1
-"""Times a bowl's radius: a larger sheet pushes the powder before it, and `SLIPS`, as it was seen, is all that it leaves
-more or less than its gap."""
 NEAR_EDGE_MM = 1.0
-"""The lip, and the heap before it, are to be lower than the mortar's edge by this, or by a grain: beside the lip the rim
-is higher, and carries what lies before it over the edge."""
+"""The heap before the lip is to be lower than the mortar's edge by this, or by a grain, which may roll on it."""
 ENDS = 60
 """Places on the wall that are looked at, from the lowest to the edge."""
 SLIPS = 0.033
@@ -104,16 +89,9 @@ class Layer:
     """
 
     gap_mm: float
-    """In the middle; less than 0 where nothing is left there."""
     mass_mg: float
     beside_mg: float = 0.0
     """What has fallen back before lips that left the wall, besides: high up, where the next strokes find little."""
-    sides_per_mm: float = 0.0
-    """It is thicker than in the middle by this times the distance squared."""
-
-    def most_mm(self, out_mm: Floats) -> Floats:
-        """How thick it may be at distances from the middle."""
-        return _left_at(out_mm, self.gap_mm, self.sides_per_mm)
 
 
 class Bed:
@@ -134,9 +112,8 @@ class Bed:
         self.beside_mg = min(layer.beside_mg, mass_mg) if layer is not None else 0.0
         mass_mg -= self.beside_mg
         self._thick_mm: Floats = np.zeros(RINGS)
-        if layer is not None and (layer.gap_mm > LIP_GAP_MM or layer.sides_per_mm > 0.0):
-            most_mm = layer.most_mm(self._out_mm)
-            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), most_mm), layer.mass_mg)
+        if layer is not None and layer.gap_mm > LIP_GAP_MM:
+            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm), layer.mass_mg)
             self._thick_mm *= min(1.0, mass_mg / max(layer.mass_mg, THIN_MM))
         left_mm = self._thick_mm
         self._fill(lambda at_mm: np.maximum(level_mm(at_mm), left_mm), mass_mg)
@@ -158,9 +135,9 @@ class Bed:
         """How far from the middle there is powder."""
         return float(self._out_mm[self._thick_mm > THIN_MM].max(initial=self._out_mm[0]))
 
-    def above_mg(self, gap_mm: float, sides_per_mm: float = 0.0, slip_mm: float = 0.0) -> float:
-        """What is farther from the wall than a stroke leaves, without what slips past the lip."""
-        above_mm = np.maximum(self._thick_mm - _left_at(self._out_mm, gap_mm, sides_per_mm), 0.0)
+    def above_mg(self, gap_mm: float, slip_mm: float = 0.0) -> float:
+        """What is farther from the wall than that, without what slips past the lip."""
+        above_mm = np.maximum(self._thick_mm - gap_mm, 0.0)
         return self._mass_mg(above_mm - np.minimum(slip_mm, above_mm / 3))
 
     def _mass_mg(self, thick_mm: Floats) -> float:
@@ -169,8 +146,7 @@ class Bed:
 
 def expected_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What a stroke is expected to bring into the cone."""
-    is_last = stroke.gap_mm <= LIP_GAP_MM and bed.was_scooped_from
-    reached = REACHED if is_last and not _cuts(bed.mortar, sheet_radius_mm) else 1.0
+    reached = REACHED if stroke.gap_mm <= LIP_GAP_MM and bed.was_scooped_from else 1.0
     return reached * most_mg(stroke, bed, sheet_radius_mm)
 
 
@@ -193,10 +169,9 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
         left_mg = bed.mass_mg - expected_mg(stroke, bed, sheet_radius_mm)
         return Layer(LIP_GAP_MM, max(0.0, left_mg - beside_mg), min(beside_mg, left_mg))
     return Layer(
-        _left_mm(stroke, bed, sheet_radius_mm) + slip_mm(stroke, bed.mortar, sheet_radius_mm),
+        _left_mm(stroke, bed.powder) + slip_mm(stroke, bed.mortar, sheet_radius_mm),
         bed.mass_mg - pushed_mg - (beside_mg - falls_back_mg),
         beside_mg,
-        _sides_per_mm(stroke, bed.mortar, sheet_radius_mm),
     )
 
 
@@ -246,9 +221,7 @@ def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What comes before the lip of a stroke, and into the mouth."""
     u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
     strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
-    mortar = bed.mortar
-    sides_per_mm, slips_mm = (rule(stroke, mortar, sheet_radius_mm) for rule in (_sides_per_mm, slip_mm))
-    above_mg = bed.above_mg(_left_mm(stroke, bed, sheet_radius_mm), sides_per_mm, slips_mm)
+    above_mg = bed.above_mg(_left_mm(stroke, bed.powder), slip_mm(stroke, bed.mortar, sheet_radius_mm))
     return strip * above_mg + _found(stroke, bed, sheet_radius_mm) * bed.beside_mg
 
 
@@ -259,34 +232,9 @@ def _found(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     return max(FOUND_BESIDE, 1.0 - bed.powder.repose_deg / _attack_deg(stroke, bed.mortar, sheet_radius_mm))
 
 
-def _left_mm(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """How much passes under the lip, as the thickness that it has at its bulk density; less than 0: none beside it."""
-    loose_mm = LOOSE_GRAINS * bed.powder.grain_mm if stroke.gap_mm > LIP_GAP_MM else 0.0
-    gives_mm = GIVES_MM if _cuts(bed.mortar, sheet_radius_mm) else 0.0
-    return stroke.gap_mm - gives_mm - loose_mm
-
-
-def _cuts(mortar: Mortar, sheet_radius_mm: float) -> bool:
-    return sheet_radius_mm <= TOO_LARGE * mortar.bowl_radius_mm
-
-
-def _left_at(out_mm: Floats, gap_mm: float, sides_per_mm: float) -> Floats:
-    """The thickness that is left at distances from the middle."""
-    left_mm: Floats = np.maximum(gap_mm + sides_per_mm * out_mm**2, 0.0)
-    return left_mm
-
-
-def _sides_per_mm(stroke: Stroke, mortar: Mortar, sheet_radius_mm: float) -> float:
-    """How much more is left beside the middle, by the distance squared: the rim is narrower than the wall's section."""
-    if not _cuts(mortar, sheet_radius_mm):
-        return 0.0
-    radius_mm = mortar.bowl_radius_mm
-    end_mm = min(stroke.end_mm, radius_mm * math.asin(mortar.bore_mm / 2 / radius_mm))
-    lowest = -stroke.begin_mm / (end_mm - stroke.begin_mm)
-    rim_mm = (stroke.open_mm + (stroke.closed_mm - stroke.open_mm) * lowest) / 2
-    alpha = math.asin(rim_mm / sheet_radius_mm)
-    across = math.cos(alpha - math.radians(_attack_deg(stroke, mortar, sheet_radius_mm)))
-    return max(0.0, 1 / rim_mm - 1 / (radius_mm * across)) * across / 4
+def _left_mm(stroke: Stroke, powder: Powder) -> float:
+    """How much passes under the lip, as the thickness that it has at its bulk density."""
+    return stroke.gap_mm - LOOSE_GRAINS * powder.grain_mm if stroke.gap_mm > LIP_GAP_MM else max(0.0, stroke.gap_mm)
 
 
 def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:
