@@ -4,6 +4,7 @@ import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from dose_bench import shipped_powders
 from hypothesis import given, settings
@@ -202,7 +203,9 @@ def test_the_more_is_pushed_the_earlier_the_lip_leaves_the_wall_but_not_before_t
     much = chosen(Bed(SMALL, 12_000.0, POWDERS["titanium_dioxide"]), SHEET_MM, math.inf)
     assert much.gap_mm > LIP_GAP_MM, "there is more than may be pushed"
     assert level_mm <= much.end_mm < level_mm + 2.0
-    assert math.isinf(chosen(Bed(MORTAR, 4000.0, BEADS), SHEET_MM, math.inf).end_mm), "it slides into the cone before"
+    little = chosen(Bed(MORTAR, 4000.0, BEADS), SHEET_MM, math.inf)
+    below_edge_mm = MORTAR.depth_mm - Vessel.of(MORTAR).wall(np.array([little.end_mm]))[1][0]
+    assert 1.0 <= below_edge_mm < 1.8, "it slides into the cone before, and what lies beside the lip is not over the edge"
 
 
 def test_of_what_lay_before_a_lip_that_left_the_wall_some_is_not_expected() -> None:
@@ -257,3 +260,5 @@ def test_coarser_grains_are_kept_farther_from_the_edge() -> None:
     coarse = fine.model_copy(update={"grain_mm": 3.0})
     ends_mm = [chosen(Bed(SMALL, 4000.0, powder), SHEET_MM, 4750.0).end_mm for powder in (fine, coarse)]
     assert ends_mm[1] < ends_mm[0] - 2.0
+    ends_mm = [chosen(Bed(MORTAR, 12_000.0, powder), SHEET_MM, math.inf).end_mm for powder in (fine, coarse)]
+    assert ends_mm[1] < ends_mm[0] - 1.5

@@ -72,7 +72,8 @@ LOOSE_GRAINS = 0.7
 """Grains whose tops are above the lip go along, and beside a wall grains lie loosely: so much of one, of what is below
 the gap, is not left. By discrete elements beds of 3 to 6 beads were so much thicker than they were heavy."""
 NEAR_EDGE_MM = 1.0
-"""The heap before the lip is to be lower than the mortar's edge by this, or by a grain, which may roll on it."""
+"""The lip, and the heap before it, are to be lower than the mortar's edge by this, or by a grain: beside the lip the rim
+is higher, and carries what lies before it over the edge."""
 ENDS = 60
 """Places on the wall that are looked at, from the lowest to the edge."""
 SLIPS = 0.033
