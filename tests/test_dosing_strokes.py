@@ -205,7 +205,7 @@ def test_the_more_is_pushed_the_earlier_the_lip_leaves_the_wall_but_not_before_t
     assert level_mm <= much.end_mm < level_mm + 2.0
     little = chosen(Bed(MORTAR, 4000.0, BEADS), SHEET_MM, math.inf)
     below_edge_mm = MORTAR.depth_mm - Vessel.of(MORTAR).wall(np.array([little.end_mm]))[1][0]
-    assert 1.0 <= below_edge_mm < 1.8, "it slides into the cone before, and what lies beside the lip is not over the edge"
+    assert 1.0 <= below_edge_mm < 1.8, "it slides into the cone before; the rim is higher"
 
 
 def test_of_what_lay_before_a_lip_that_left_the_wall_some_is_not_expected() -> None:

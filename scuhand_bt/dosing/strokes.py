@@ -29,7 +29,8 @@ than the lip by no more than
 
     H = sqrt(2 p V / w / (cot phi + cot rho)),    p = 1 - (phi - beta) / delta, from 0 to 1
 
-The lip leaves the wall before h(phi) + H comes near the edge, over which that would be pushed. What lay on the wall
+The lip leaves the wall before h(phi) + H comes near the edge, over which that would be pushed; where H is 0, a grain
+below it, as beside the lip the rim is higher. What lay on the wall
 stays in the mortar: p cot phi / (cot phi + cot delta) of V, as what is dragged over a sheet is hardly steeper than the
 friction on that (Dahlen, Annu. Rev. Earth Planet. Sci. 18, 1990). No stroke pushes so much that it would have to leave
 the wall before the sheet is level.
@@ -72,8 +73,8 @@ LOOSE_GRAINS = 0.7
 """Grains whose tops are above the lip go along, and beside a wall grains lie loosely: so much of one, of what is below
 the gap, is not left. By discrete elements beds of 3 to 6 beads were so much thicker than they were heavy."""
 NEAR_EDGE_MM = 1.0
-"""The lip, and the heap before it, are to be lower than the mortar's edge by this, or by a grain: beside the lip the rim
-is higher, and carries what lies before it over the edge."""
+"""The lip, and the heap before it, are to be lower than the mortar's edge by this, or by a grain: beside the lip the
+rim is higher, and carries what lies before it over the edge."""
 ENDS = 60
 """Places on the wall that are looked at, from the lowest to the edge."""
 SLIPS = 0.033
