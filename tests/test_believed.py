@@ -302,6 +302,17 @@ def test_a_load_that_gives_more_than_it_should_holds_some_more_until_it_gives_ou
     assert believed.cone_mg == 8000.0
 
 
+@pytest.mark.parametrize(("came_mg", "told"), [(1900.0, 1900.0 / 0.85 / 4000.0), (2100.0, None)])
+def test_a_load_whose_rest_comes_only_shaken_tells_a_poor_scoop_where_that_began_before_half_of_it(
+    came_mg: float, told: float | None
+) -> None:
+    believed = Believed()
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(came_mg, 0.0)
+    believed.rest_left()
+    assert believed.yields == ({"beads": pytest.approx(told)} if told is not None else {})
+
+
 def test_a_load_that_ran_empty_tells_what_its_scoop_brought() -> None:
     believed = Believed()
     for came_mg in (3900.0, 4100.0):

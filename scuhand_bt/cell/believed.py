@@ -209,7 +209,12 @@ class Believed:
             self._set(has_rest=True)
 
     def rest_left(self) -> None:
-        """What is left in the cone comes only shaken: that is for a dose's most, and not for the last of it."""
+        """What is left in the cone comes only shaken: that is for a dose's most, and not for the last of it.
+
+        Where that began long before it should have, the load was a poor one, as its source's next ones will be.
+        """
+        if (name := self.cone_source) is not None and (share := self.load.poor_share(self.cone_mg)) is not None:
+            self._set(yields={**self.yields, name: share})
         self._set(load=replace(self.load, is_rest=True))
 
     def source_refilled(self, name: str, mass_mg: float) -> None:
