@@ -313,6 +313,14 @@ def test_a_load_whose_rest_comes_only_shaken_tells_a_poor_scoop_where_that_began
     assert believed.yields == ({"beads": pytest.approx(told)} if told is not None else {})
 
 
+def test_the_rest_of_a_load_that_was_larger_than_thought_tells_how_large() -> None:
+    believed = Believed()
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(5000.0, 0.0)
+    believed.rest_left()
+    assert believed.yields == {"beads": pytest.approx(5000.0 / 0.85 / 4000.0)}
+
+
 def test_a_load_that_ran_empty_tells_what_its_scoop_brought() -> None:
     believed = Believed()
     for came_mg in (3900.0, 4100.0):

@@ -211,9 +211,10 @@ class Believed:
     def rest_left(self) -> None:
         """What is left in the cone comes only shaken: that is for a dose's most, and not for the last of it.
 
-        Where that began long before it should have, the load was a poor one, as its source's next ones will be.
+        Where that began long before it should have, the load was a poor one, as its source's next ones will be; and of
+        one that was larger than thought nothing else has told how large.
         """
-        if (name := self.cone_source) is not None and (share := self.load.poor_share(self.cone_mg)) is not None:
+        if (name := self.cone_source) is not None and (share := self.load.rest_share(self.cone_mg)) is not None:
             self._set(yields={**self.yields, name: share})
         self._set(load=replace(self.load, is_rest=True))
 

@@ -21,8 +21,8 @@ HIDDEN = 0.25
 """Of what has come of such a load, the share that is thought to be in it still: it has not given out."""
 POOR_REST, REST_SHARE = 0.5, 0.15
 """A load of which less than this share has come, of what was thought to be in it, and what is left comes only shaken, was
-a poorer one: it held what has come, and this share as its rest. In dry runs rests were 0.02 of loads of beads, and 0 to
-0.35 of MSG."""
+a poorer one: it held what has come, and this share as its rest. So did one of which more has come than was thought. In
+dry runs rests were 0.02 of loads of beads, and 0 to 0.35 of MSG."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,10 @@ class Load:
         """
         return self.came_mg / self.scooped_mg
 
-    def poor_share(self, held_mg: float) -> float | None:
+    def rest_share(self, held_mg: float) -> float | None:
         """The same, of one whose rest is left, with `held_mg` believed in it; None where that may well be there."""
-        if self.scooped_mg == 0.0 or self.is_barren or self.came_mg >= POOR_REST * (self.came_mg + held_mg):
+        is_poor = self.came_mg < POOR_REST * (self.came_mg + held_mg)
+        if self.scooped_mg == 0.0 or self.is_barren or not (is_poor or self.is_larger):
             return None
         return self.scoops_share / (1.0 - REST_SHARE)
 
