@@ -20,9 +20,9 @@ of every load costs time. What others bring changes as their bed does."""
 HIDDEN = 0.25
 """Of what has come of such a load, the share that is thought to be in it still: it has not given out."""
 POOR_REST, REST_SHARE = 0.5, 0.15
-"""A load of which less than this share has come, of what was thought to be in it, and what is left comes only shaken, was
-a poorer one: it held what has come, and this share as its rest. So did one of which more has come than was thought. In
-dry runs rests were 0.02 of loads of beads, and 0 to 0.35 of MSG."""
+"""A load of which less than this share has come, of what was thought to be in it, and what is left comes only shaken,
+was a poorer one: it held what has come, and this share as its rest. So did one of which more has come than was thought.
+In dry runs rests were 0.02 of loads of beads, and 0 to 0.35 of MSG."""
 
 
 @dataclass(frozen=True)
