@@ -1,9 +1,9 @@
 """What `plan` says of a run, held against runs on plants that no trial has had.
 
 `python -m benchmarks.forecasts [--json FILE]`: recipes of beads, of crystals and of lumps, each foretold by a few dry
-runs on the shipped physics and then run once on a plant of `harness.random_plants`, of seeds that nothing else has. Said for each:
-whether the time that it took lies in the interval; and for all samples how probabilities and outcomes go together: the
-Brier score, beside that of who says the overall rate of every sample, and a table of reliability.
+runs on the shipped physics and then run once on a plant of `harness.random_plants`, of seeds that nothing else has.
+Said for each: whether the time that it took lies in the interval; and for all samples how probabilities and outcomes go
+together: the Brier score, beside that of who says the overall rate of every sample, and a table of reliability.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Randomised plants: families of powders, hands and balances that nobody has tuned to, drawn by Latin hypercube.
 
 A family says from what each figure is drawn; `draw` gives some plants of it. The sets of seeds, one to tune with, one
-to judge by, and one to judge forecasts by, share no plant and no random number. None of it is known to a controller, and the physics
-(`harness.random_physics`) shares nothing with the simulation that the lab ships.
+to judge by, and one to judge forecasts by, share no plant and no random number. None of it is known to a controller,
+and the physics (`harness.random_physics`) shares nothing with the simulation that the lab ships.
 """
 
 from collections.abc import Mapping, Sequence

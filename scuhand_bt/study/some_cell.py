@@ -27,7 +27,7 @@ exponential ones that grow with the gap where the file says that they do not, or
 GROWS = 3.0
 """The exponent of those that grow: a lump is as wide as the gap."""
 PRIMES = (5, 2, 3, 7, 11)
-"""Their roots are the numbers, for lumps, lag, flow, dead diameter and noise; that of 5 is even within a kind as well."""
+"""Their roots are the numbers: for lumps (that of 5 is even within a kind as well), lag, flow, dead diameter, noise."""
 SURE = 1e-6
 """No cell is farther out than this share of all."""
 SLOWER = 1.5
@@ -39,9 +39,9 @@ DEAD_MM = 0.03
 class SomeCell:
     """A plant (`--plant`) whose figures are drawn; `seed` says which.
 
-    Cells of successive seeds lie evenly, the first in the middle (Richtmyer's sequence: multiples of irrational numbers,
-    modulo 1): the few trials of a plan have every kind of lumps among them, and small and large ones, whereas a few that
-    are drawn by chance may all be of one kind.
+    Cells of successive seeds lie evenly, the first in the middle (Richtmyer's sequence: multiples of irrational
+    numbers, modulo 1): the few trials of a plan have every kind of lumps among them, and small and large ones, whereas
+    a few that are drawn by chance may all be of one kind.
     """
 
     seed: ClassVar[int] = 0
