@@ -191,6 +191,18 @@ def test_of_a_load_that_has_hardly_flowed_what_does_not_come_is_taken_for_a_brid
     assert dosed.run.finish.reason == reason
 
 
+@pytest.mark.parametrize(("may_scoop_again", "longest_s"), [(True, 12.0), (False, 70.0)])
+def test_a_load_that_has_flowed_and_gives_nothing_more_is_soon_scooped_anew(
+    may_scoop_again: bool, longest_s: float
+) -> None:
+    rig = Bench(POWDERS["monosodium_glutamate"], 4000.0, 3, 0, Setting(load_ratio=0.5))
+    run = rig.dose("adaptive", balance=STEPPED, may_scoop_again=may_scoop_again, cone_mg=5000.0).run
+    assert run.finish.reason == "no_flow"
+    last_mg = run.curve[-1].net_mg
+    dry_s = run.vibration_s - sum(0.1 for point in run.curve if point.vibration > 0.0 and point.net_mg < last_mg - 20.0)
+    assert longest_s / 2.0 < dry_s < longest_s
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_a_load_that_flows_is_dosed_from_to_the_end(seed: int) -> None:
     rig = Bench(POWDERS["monosodium_glutamate"], 2500.0, seed)

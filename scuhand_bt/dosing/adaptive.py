@@ -74,7 +74,7 @@ LEFT_MG = 1.0
 PRIMES_S = 10.0
 """A fresh load may give nothing for so long, open and fully shaken: that says nothing of its flow."""
 LAST_MG = 500.0
-"""So near to the target the rest of a load is left for a fresh one: shaken it flows two to five times as fast as before,
+"""So near to the target the rest of a load is left for a fresh one: shaken it flows several times as fast as before,
 which is seen late."""
 FLOWED_SHARE = 1 / 3
 """Of a load; before, a bridge is likelier than that the rest does not flow."""
@@ -181,7 +181,8 @@ class Adaptive:
     def _is_dry(self) -> bool:
         mass_mg = self._known.bank.mass_mg
         if self._given_up(mass_mg) != "empty":
-            return self._barren_s > DRY_S
+            may_scoop = self._known.request.may_scoop_again and self._has_flowed
+            return self._barren_s > (EMPTY_S if may_scoop and self._known.most_mg - mass_mg > FAR_MG else DRY_S)
         left_mg = self._known.request.cone_mg - (mass_mg - self._start_mg)
         is_too_little = self._has_come and self._known.most_mg - mass_mg > max(left_mg, FAR_MG)
         return self._barren_s > (SCOOPED_ANEW_S if is_too_little else EMPTY_S)
@@ -193,9 +194,14 @@ class Adaptive:
         if self._is_dry():
             return self._given_up(mass_mg)
         is_shaken = self._vibration > request.powder.vibration
-        has_flowed = request.came_mg + mass_mg - self._start_mg > FLOWED_SHARE * (request.came_mg + request.cone_mg)
         is_near = known.most_mg - mass_mg < LAST_MG
-        return "rest" if request.may_scoop_again and is_shaken and has_flowed and is_near else None
+        return "rest" if request.may_scoop_again and is_shaken and self._has_flowed and is_near else None
+
+    @property
+    def _has_flowed(self) -> bool:
+        """Whether the load has, not only in this dose."""
+        request, dosed_mg = self._known.request, self._known.bank.mass_mg - self._start_mg
+        return request.came_mg + dosed_mg > FLOWED_SHARE * (request.came_mg + request.cone_mg)
 
     def _given_up(self, mass_mg: float) -> Reason:
         return self._known.request.given_up(mass_mg - self._start_mg)
