@@ -264,6 +264,8 @@ def test_a_sample_that_never_failed_in_a_few_trials_is_not_warned_of(setup: Setu
     assert isinstance(odds.samples["c"], Chance)
     assert 0.9 < odds.samples["c"].probability < 1.0
     assert (odds.unlikely, odds.codes) == ([], {})
+    assert odds_of(plan, [fake(0, 600.0, "abc")]).unlikely == []
+    assert odds_of(plan, [fake(0, 600.0, "ab")]).unlikely == ["c"]
 
 
 def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, command: Call, tmp_path: Path) -> None:

@@ -52,6 +52,8 @@ class Chance:
     low: float
     high: float
     tried: int
+    good: int
+    """Of those that were tried."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,9 @@ class Odds:
 
     @property
     def unlikely(self) -> list[str]:
-        """The samples that are to be warned of."""
-        return [name for name, chance in self.samples.items() if chance.probability < LIKELY]
+        """The samples that are to be warned of; that few were tried is no warning."""
+        tried = self.samples.items()
+        return [name for name, chance in tried if chance.probability < LIKELY and chance.good < chance.tried]
 
 
 def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
@@ -140,11 +143,15 @@ def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
     Beta-binomial kinds about a rate of which nothing is known (Jeffreys), with an unknown number of trials that the
     batch counts for beside a kind's own: both are summed over on a grid (Gelman et al., Bayesian Data Analysis, 5.3).
     """
-    good, tried = np.array(kinds, dtype=float).T
+    if not kinds:
+        return []
+    # Thousands of kinds are as many as came out differently.
+    came, which, many = np.unique(np.array(kinds), axis=0, return_inverse=True, return_counts=True)
+    good, tried = came.T
     batch = beta.ppf((np.arange(RATES) + 0.5) / RATES, 0.5, 0.5)[:, np.newaxis]
     counts = np.array(BATCH_COUNTS)[:, np.newaxis, np.newaxis]
     a, b = counts * batch, counts * (1.0 - batch)
-    logs = np.sum(betaln(a + good, b + tried - good) - betaln(a, b), axis=-1, keepdims=True)
+    logs = np.sum(many * (betaln(a + good, b + tried - good) - betaln(a, b)), axis=-1, keepdims=True)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     means = (a + good) / (counts + tried)
@@ -157,8 +164,9 @@ def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
     low, high = (
         beta.ppf(share, size * mean, size * (1.0 - mean)) for share in ((1.0 - COVERED) / 2.0, (1.0 + COVERED) / 2.0)
     )
-    figures = zip(mean, low, high, tried, strict=True)
-    return [Chance(float(p), float(least), float(most), int(many)) for p, least, most, many in figures]
+    figures = zip(mean.tolist(), low.tolist(), high.tolist(), tried.tolist(), good.tolist(), strict=True)
+    chances = [Chance(*one) for one in figures]
+    return [chances[index] for index in which.reshape(-1)]
 
 
 def _good(one: SampleTrial | None) -> bool:
