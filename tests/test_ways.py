@@ -36,6 +36,7 @@ def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks
     assert blocked(lab) == [], "the place itself can be reached"
     lab.write("trees/mine.yaml", TREE.replace("mass: $mass}", "mass: $mass, from_above: 30 mm}"))
     (message,) = blocked(lab)
+    assert message.startswith("the last 30 mm straight down to 'balance+")
     assert "roof" in message
 
 
