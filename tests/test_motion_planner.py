@@ -179,7 +179,7 @@ def test_a_goal_inside_something_is_the_goal_in_whatever_direction_the_way_is_lo
     goal[1] -= 0.35
     for place in ABOVE_MM:
         start = planner.standing_at(place)
-        with pytest.raises(SkillFailed, match=r"cannot stand at .* overlap by"):
+        with pytest.raises(SkillFailed, match=r"cannot stand at the configuration asked for: .* overlap by"):
             planner.move(start, goal)
 
 

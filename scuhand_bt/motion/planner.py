@@ -370,7 +370,7 @@ class MotionPlanner:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
         begin = self._places.settled(checked_joints(start, self._limits_rad), self._geometry)
         if isinstance(goal, np.ndarray):
-            return begin, checked_joints(goal, self._limits_rad)[None, :], "where the way begins"
+            return begin, checked_joints(goal, self._limits_rad)[None, :], "the configuration asked for"
         if isinstance(goal, str):
             return begin, self._posture(goal)[None, :], goal
         goals = solutions(goal, self._mount, self._limits_rad)
