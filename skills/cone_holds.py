@@ -38,5 +38,7 @@ class ConeHolds(Condition):
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if believed.is_load_doubted:
             raise SkillFailed(Code.HAND_CONE_EMPTY, "the cone's load was other than believed: it is let out first")
+        if believed.load.is_rest:
+            raise SkillFailed(Code.HAND_CONE_EMPTY, "what is left in the cone comes only shaken: it is put away first")
         if source.powder.name != self.powder.name:
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.powder.name}, not {self.powder.name}")

@@ -67,6 +67,8 @@ RINGS_S = 1.0
 """So long after the motor has stopped readings may still be of when it went."""
 LOOK_S = 4.0
 """A drift by weighings sooner after each other may be chance, over all of the dose: it is looked at anew."""
+FRESH_LOAD_MG = 1000.0
+"""With less in the mortar a fresh load may not be enough for the last of a dose."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 
@@ -104,6 +106,8 @@ class Dispense(Skill[Dose]):
     tolerance_mg: Annotated[Milligrams, Field(gt=0)] = 2.0
     controller: Annotated[str, AfterValidator(_known_controller)] = ""
     """A dosing controller by name; the run's, if none is named."""
+    may_scoop_again: bool = False
+    """What calls it scoops anew on hand.cone_empty: the last of the dose is not shaken out of the rest of a load."""
 
     def run(self, cell: Cell) -> Steps[Dose]:
         require_unchanged(cell)
@@ -295,6 +299,8 @@ class Dispense(Skill[Dose]):
             readability_mg=balance.readability_mg,
             balance_period_s=balance.period_s,
             cone_mg=cell.believed.cone_mg,
+            came_mg=max(0.0, cell.believed.load.came_mg),
+            may_scoop_again=self.may_scoop_again and cell.believed.sources_mg[source.name] > FRESH_LOAD_MG,
             cone_doubt_mg=SCOOP_DOUBT * powder.load_limit_mg,
             streaming=hand.streaming,
             powder=cell.powder_beliefs.get(source.sheet_key, powder.belief),
@@ -347,6 +353,9 @@ class Dispense(Skill[Dose]):
             raise self._gave_out(cell, reached, -dose.error_mg)
         if dose.error_mg > self.tolerance_mg:
             raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
+        if run.finish.reason == "rest":
+            cell.believed.rest_left()
+            raise SkillFailed(Code.HAND_CONE_EMPTY, f"{reached}; what is left in the cone comes only shaken")
         if run.finish.reason == "step_limit":
             raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.pulses} pulses")
 

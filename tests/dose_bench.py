@@ -1,10 +1,10 @@
 """A bench for doses: a loaded cone that stands still above a dish on the simulated balance."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import yaml
@@ -126,11 +126,13 @@ class Bench:
         except StopIteration as end:
             return cast(T, end.value)
 
-    def dose(self, name: str, belief: PowderBelief | None = None, balance: BalanceBelief = UNSEEN) -> Dosed:
-        """One dose by a controller's name."""
+    def dose(
+        self, name: str, belief: PowderBelief | None = None, balance: BalanceBelief = UNSEEN, **asked_for: Any
+    ) -> Dosed:
+        """One dose by a controller's name, which is asked for it with these fields besides."""
         empty = weighing_of(self.drive(self.cell.balance.stable_mean(60.0)))
         against = Reference(empty, Drift(0.0, 0.0), Net(0.0, 0.0), self.cell.spec.balance.readability_mg)
-        asked, cell = self.request(belief, balance, name), self.cell
+        asked, cell = replace(self.request(belief, balance, name), **asked_for), self.cell
         controller = new_controller(name, asked)
         run = self.drive(run_dose(controller, asked, cell.hand, cell.balance, self.clock, Record(), against))
         return Dosed(self.world.true_mass(DISH.id) - self.target_mg, run)

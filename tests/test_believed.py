@@ -62,6 +62,7 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "gave_out": st.builds(
         lambda is_short, m: lambda b: b.gave_out(is_short=is_short, lacked_mg=m), st.booleans(), masses_mg
     ),
+    "rest_left": st.just(Believed.rest_left),
     "cone_spilled": st.just(Believed.cone_spilled),
     "source_refilled": st.builds(
         lambda n, m: lambda b: b.source_refilled(n, m), st.sampled_from([*SOURCES]), masses_mg
@@ -193,7 +194,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "cone_mg": 3000.0,
         "cone_source": "beads",
         "has_rest": False,
-        "load": {"scooped_mg": 3000.0, "came_mg": 0.0, "is_first": True, "is_larger": False},
+        "load": {"scooped_mg": 3000.0, "came_mg": 0.0, "is_first": True, "is_rest": False, "is_larger": False},
         "is_load_doubted": False,
         "yields": {},
         "barren_loads": {},

@@ -231,6 +231,31 @@ def test_a_dose_that_ended_for_another_reason_is_not_gone_on_with(rig: Rig) -> N
     assert rig.brings == [30.0]
 
 
+def test_what_is_left_of_a_load_for_a_fresh_one_stays_in_the_cone_and_tells_nothing_of_scoops(rig: Rig) -> None:
+    believed = rig.cell.believed
+    with pytest.raises(SkillFailed, match=r"hand\.cone_empty: 20\.0 mg of 50 mg; what is left in the cone comes only"):
+        rig.dispense(20.0, 30.0, reason="rest")
+    assert (believed.cone_mg, believed.cone_source, believed.yields) == (2980.0, "store", {})
+    with pytest.raises(SkillFailed, match=r"hand\.cone_empty: what is left in the cone comes only shaken"):
+        rig._skill("cone_holds", powder=BEADS, wanted_mg=TARGET_MG).check(rig.cell)
+    believed.emptied()
+    believed.cone_holds(rig.cell.sources["store"], 3000.0)
+    rig._skill("cone_holds", powder=BEADS, wanted_mg=TARGET_MG).check(rig.cell)
+
+
+@pytest.mark.parametrize(
+    ("may_scoop_again", "in_mortar_mg", "told"), [(True, 1100.0, True), (True, 900.0, False), (False, 7000.0, False)]
+)
+def test_a_rest_is_left_only_where_there_is_more_to_scoop_and_something_scoops_it(
+    rig: Rig, may_scoop_again: bool, in_mortar_mg: float, told: bool
+) -> None:
+    rig.cell.believed.source_holds("store", in_mortar_mg)
+    skill = rig._skill("dispense", mass_mg=TARGET_MG, may_scoop_again=may_scoop_again)
+    rig.dispense(20.0, 30.0)
+    asked = skill.request(rig.cell)
+    assert (asked.may_scoop_again, asked.came_mg, asked.cone_mg) == (told, 50.0, 2950.0)
+
+
 def test_a_zero_that_stepped_between_tare_and_dose_is_not_in_the_dose(rig: Rig) -> None:
     rig.balance.zero_mg = lambda time_s: 3.0
     dose = rig.dispense(TARGET_MG)

@@ -154,6 +154,62 @@ def test_adaptive_asks_for_another_scoop_when_the_cone_runs_empty() -> None:
     assert dosed.true_error_mg < -25.0
 
 
+SALT_REST_MG = 0.35 * 4000.0
+"""What stays put of a load of 4 g of monosodium glutamate until it is shaken."""
+
+
+@pytest.mark.parametrize("lacking_mg", [20.0, 150.0])
+@pytest.mark.parametrize("may_scoop_again", [True, False])
+def test_the_last_of_a_dose_is_not_shaken_out_of_a_loads_rest_where_a_fresh_one_can_be_scooped(
+    lacking_mg: float, may_scoop_again: bool
+) -> None:
+    target_mg = 4000.0 - SALT_REST_MG + lacking_mg
+    rig = Bench(POWDERS["monosodium_glutamate"], target_mg, 3, 0, Setting(load_ratio=0.8))
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=may_scoop_again)
+    assert (dosed.run.finish.reason == "rest") == may_scoop_again
+    assert any(point.vibration for point in dosed.run.curve) != may_scoop_again
+    if may_scoop_again:
+        assert dosed.true_error_mg == pytest.approx(-lacking_mg, abs=60.0)
+
+
+def test_far_from_the_target_a_loads_rest_is_shaken_out() -> None:
+    rig = Bench(POWDERS["monosodium_glutamate"], 3700.0, 3, 0, Setting(load_ratio=0.8))
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True)
+    assert dosed.run.finish.reason == "rest"
+    assert any(point.vibration for point in dosed.run.curve)
+    assert -500.0 < dosed.true_error_mg < -2.0
+
+
+@pytest.mark.parametrize(
+    ("came_mg", "cone_mg", "reason"), [(0.0, 4000.0, "reached"), (600.0, 3400.0, "reached"), (3000.0, 4000.0, "rest")]
+)
+def test_of_a_load_that_has_hardly_flowed_what_does_not_come_is_taken_for_a_bridge(
+    came_mg: float, cone_mg: float, reason: str
+) -> None:
+    rig = Bench(POWDERS["monosodium_glutamate"], 700.0, 3, 0, Setting(load_ratio=0.2))
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True, cone_mg=cone_mg, came_mg=came_mg)
+    assert dosed.run.finish.reason == reason
+
+
+@pytest.mark.parametrize(("may_scoop_again", "longest_s"), [(True, 12.0), (False, 70.0)])
+def test_a_load_that_has_flowed_and_gives_nothing_more_is_soon_scooped_anew(
+    may_scoop_again: bool, longest_s: float
+) -> None:
+    rig = Bench(POWDERS["monosodium_glutamate"], 4000.0, 3, 0, Setting(load_ratio=0.5))
+    run = rig.dose("adaptive", balance=STEPPED, may_scoop_again=may_scoop_again, cone_mg=5000.0).run
+    assert run.finish.reason == "no_flow"
+    last_mg = run.curve[-1].net_mg
+    dry_s = run.vibration_s - sum(0.1 for point in run.curve if point.vibration > 0.0 and point.net_mg < last_mg - 20.0)
+    assert longest_s / 2.0 < dry_s < longest_s
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_load_that_flows_is_dosed_from_to_the_end(seed: int) -> None:
+    rig = Bench(POWDERS["monosodium_glutamate"], 2500.0, seed)
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True)
+    assert dosed.run.finish.reason == "reached"
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(-500.0, 5000.0), min_size=40, max_size=40), st.booleans())
 def test_adaptive_survives_any_readings_and_keeps_its_commands_possible(readings: list[float], streams: bool) -> None:

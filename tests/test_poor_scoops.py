@@ -208,3 +208,23 @@ def test_a_person_who_says_redo_has_looked_after_the_source(tmp_path: Path) -> N
     case = Case(tmp_path, "ask", "redo")
     assert {sample.verdict for sample in case.go().samples} == {"in tolerance"}
     assert case.session.cell.believed.containers_used == {"alumina_crucible": 5}
+
+
+def test_the_last_of_a_large_dose_comes_out_of_a_fresh_load(tmp_path: Path) -> None:
+    """Crystals of which the last third comes only shaken, in avalanches."""
+    recipe = """
+recipe: r
+workflow: fill_crucible
+sources:
+  msg: {station: mortar_bay, container: agate_mortar, powder: monosodium_glutamate, amount: 20 g}
+defaults: {source: msg, container: alumina_crucible, tolerance: 2 mg}
+samples: [{id: a, mass: 3 g}]
+on_failure: {otherwise: stop}
+"""
+    ran = dry_run(tmp_path, recipe, controller="adaptive", seed=3)
+    assert set(ended(ran).values()) == {("in tolerance", None)}
+    kinds = [event["kind"] for event in read(ran.journal, "event") if event["kind"] in ("scoop", "returned")]
+    assert kinds == ["scoop", "returned", "scoop", "returned"]
+    world, believed = ran.session.world, ran.session.cell.believed
+    assert world is not None
+    assert believed.sources_mg["msg"] == pytest.approx(world.masses_mg["source:msg"], abs=400.0)

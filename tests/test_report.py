@@ -15,7 +15,7 @@ from page_text import Tables
 from running import Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
-from scuhand_bt.events import DoseBegun, DoseCurve, Scooped
+from scuhand_bt.events import DoseBegun, Scooped
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,
@@ -154,7 +154,8 @@ def written(path: Path) -> Path:
             journal.event(Continued())
             now = 24.0
             journal.event(Answered(question="ready?", answer="done"))
-            journal.event(DoseCurve(points=points))
+            for point in points:
+                journal.course(point)
             now = 10.0
         now += seconds
         journal.action_ended(action, ActionEnded(outcome="done", code=None, result=None))

@@ -208,6 +208,10 @@ class Believed:
             self.emptied()
             self._set(has_rest=True)
 
+    def rest_left(self) -> None:
+        """What is left in the cone comes only shaken: that is for a dose's most, and not for the last of it."""
+        self._set(load=replace(self.load, is_rest=True))
+
     def source_refilled(self, name: str, mass_mg: float) -> None:
         """A person has put so much more into a source, which may be scooped from again if it gave nothing."""
         self.source_holds(name, self.sources_mg.get(name, 0.0) + _mass(mass_mg))

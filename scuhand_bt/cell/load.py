@@ -31,6 +31,8 @@ class Load:
     """What has arrived on the balance."""
     is_first: bool = False
     """Nothing was scooped from its source before."""
+    is_rest: bool = False
+    """What is left of it comes only shaken."""
     is_larger: bool = False
     """More has come than was thought to be in it: how much there is, only its end tells."""
 

@@ -73,6 +73,11 @@ LEFT_MG = 1.0
 """With more than this to go the stable mean can wait."""
 PRIMES_S = 10.0
 """A fresh load may give nothing for so long, open and fully shaken: that says nothing of its flow."""
+LAST_MG = 500.0
+"""So near to the target the rest of a load is left for a fresh one: shaken it flows several times as fast as before,
+which is seen late."""
+FLOWED_SHARE = 1 / 3
+"""Of a load; before, a bridge is likelier than that the rest does not flow."""
 EMPTY_S, DRY_S = 8.0, 60.0
 """Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
 SCOOPED_ANEW_S = 3.0
@@ -146,8 +151,8 @@ class Adaptive:
             if in_vain and ended in ("quiet", "fear", "missing"):
                 known.little_came()
             self._shake(came)
-            is_dry = self._is_dry()
-            if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):
+            gave_out = self._gave_out()
+            if gave_out is None and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):
                 known.begin(float(np.mean([row.reading_mg for row in known.rows[-3:]])), 0.3)
                 continue
             seen = yield from self._weigh()
@@ -155,8 +160,8 @@ class Adaptive:
             verdict = known.verdict(seen)
             if verdict is not None:
                 return known.finish(verdict, seen)
-            if is_dry:
-                return known.finish(self._given_up(seen.net_mg), seen)
+            if gave_out is not None:
+                return known.finish(gave_out, seen)
         return known.finish("step_limit", seen)
 
     def _weigh(self) -> Generator[Command, Observation, Observation]:
@@ -176,10 +181,27 @@ class Adaptive:
     def _is_dry(self) -> bool:
         mass_mg = self._known.bank.mass_mg
         if self._given_up(mass_mg) != "empty":
-            return self._barren_s > DRY_S
+            may_scoop = self._known.request.may_scoop_again and self._has_flowed
+            return self._barren_s > (EMPTY_S if may_scoop and self._known.most_mg - mass_mg > FAR_MG else DRY_S)
         left_mg = self._known.request.cone_mg - (mass_mg - self._start_mg)
         is_too_little = self._has_come and self._known.most_mg - mass_mg > max(left_mg, FAR_MG)
         return self._barren_s > (SCOOPED_ANEW_S if is_too_little else EMPTY_S)
+
+    def _gave_out(self) -> Reason | None:
+        """Why the dose does not go on out of this load, if it does not."""
+        known = self._known
+        request, mass_mg = known.request, known.bank.mass_mg
+        if self._is_dry():
+            return self._given_up(mass_mg)
+        is_shaken = self._vibration > request.powder.vibration
+        is_near = known.most_mg - mass_mg < LAST_MG
+        return "rest" if request.may_scoop_again and is_shaken and self._has_flowed and is_near else None
+
+    @property
+    def _has_flowed(self) -> bool:
+        """Whether the load has, not only in this dose."""
+        request, dosed_mg = self._known.request, self._known.bank.mass_mg - self._start_mg
+        return request.came_mg + dosed_mg > FLOWED_SHARE * (request.came_mg + request.cone_mg)
 
     def _given_up(self, mass_mg: float) -> Reason:
         return self._known.request.given_up(mass_mg - self._start_mg)

@@ -48,7 +48,7 @@ class Weigh:
     """A fixed wait before the balance is asked: until it can have noticed what fell last."""
 
 
-Reason = Literal["reached", "overshoot", "empty", "no_flow", "step_limit"]
+Reason = Literal["reached", "overshoot", "empty", "rest", "no_flow", "step_limit"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """The dose is over. `empty` asks for another scoop: the cone gave no more."""
+    """The dose is over. `empty` and `rest` ask for another scoop: the cone gave no more, or gives it only shaken."""
 
     reason: Reason
     estimate_mg: float
@@ -107,6 +107,10 @@ class DoseRequest:
     """What the cone is believed to hold."""
     cone_doubt_mg: float = 750.0
     """How far that belief may be off: scoops vary."""
+    came_mg: float = 0.0
+    """What has come of the cone's load before."""
+    may_scoop_again: bool = False
+    """What is missing may be dosed out of a fresh load."""
     uncertainty_mg: float = 0.1
     """The standard uncertainty to be expected of the net mass that is judged in the end."""
     wait_s: float = 0.0

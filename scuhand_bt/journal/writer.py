@@ -129,19 +129,12 @@ class Journal:
         self._raise_lost()
 
     def event(self, event: Event | Note) -> None:
-        """Anything that happens within the job and the action that are at work, or beside them.
-
-        A dose's course is kept in parts, with the readings that it goes by.
-        """
-        if isinstance(event, DoseCurve):
-            for point in event.points if self.is_kept else ():
-                self.course(point)
-            return
+        """Anything that happens within the job and the action that are at work, or beside them."""
         self.so_far.note(event)
         self._append(event, with_state=isinstance(event, POINTS_OF_NO_RETURN), is_told=True)
 
     def course(self, point: CurveRow) -> None:
-        """A point of a dose's course; it may wait in memory."""
+        """A point of a dose's course; it may wait in memory, and is kept with the readings that it goes by."""
         self._course.append(point)
 
     def job_started(self, event: JobStarted) -> None:
