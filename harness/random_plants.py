@@ -1,8 +1,8 @@
 """Randomised plants: families of powders, hands and balances that nobody has tuned to, drawn by Latin hypercube.
 
-A family says from what each figure is drawn; `draw` gives some plants of it. Two sets of seeds, one to tune with and
-one to judge by, share no plant and no random number. None of it is known to a controller, and the physics
-(`harness.random_physics`) shares nothing with the simulation that the lab ships.
+A family says from what each figure is drawn; `draw` gives some plants of it. The sets of seeds, one to tune with, one
+to judge by, and two to judge forecasts by, share no plant and no random number. None of it is known to a controller,
+and the physics (`harness.random_physics`) shares nothing with the simulation that the lab ships.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from harness.random_physics import BalanceFigures, DrawnBalance, DrawnFlow, Flow
 from scuhand_bt.cell_spec import BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.specs import Powder
 
-SETS = {"tuning": 20_260_301, "judging": 77_123_009}
+SETS = {"tuning": 20_260_301, "judging": 77_123_009, "foretold": 55_310_207, "foretold_again": 91_440_613}
 """Seeds of numpy: of the draw, and where the seeds of its plants begin."""
 LONGEST_DELAY_S = 6.0
 

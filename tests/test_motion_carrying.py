@@ -12,6 +12,7 @@ from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import Mount, apex
 from scuhand_bt.motion.kinematics import LIMITS_RAD
+from scuhand_bt.motion.trajectory import JointTrajectory
 
 LAYOUT = drawn(2)
 
@@ -119,6 +120,31 @@ def test_the_audit_sees_what_touches_what_is_too_quick_and_what_spills(planner):
     verdict = Audit(LAB.urdf, walled, LAYOUT.mortars, CONTAINER).of(motion)
     assert verdict.clearance_m < -0.001
     assert "wall" in verdict.pair
+
+
+def turning_joint_2(q, jerks, jump=0.0):
+    """From rest at q, each of the jerks [rad/s^3] for 20 ms; the acceleration jumps once, before the last."""
+    coefficients = np.zeros((4, len(jerks), 7))
+    position, speed, acceleration = q.copy(), 0.0, 0.0
+    for k, jerk in enumerate(jerks):
+        acceleration += jump if k == len(jerks) - 1 else 0.0
+        coefficients[0, k], coefficients[1:, k, 1] = position, (speed, acceleration / 2, jerk / 6)
+        position[1] += 0.02 * (speed + 0.02 * (acceleration / 2 + 0.02 * jerk / 6))
+        speed, acceleration = speed + 0.02 * (acceleration + 0.02 * jerk / 2), acceleration + 0.02 * jerk
+    return JointTrajectory(0.02 * np.arange(len(jerks) + 1), coefficients)
+
+
+def test_the_audit_tells_five_percent_over_a_limit_and_nothing_of_seams_within_it(planner):
+    audit = Audit(LAB.urdf, LAYOUT.cell, LAYOUT.mortars, CONTAINER)
+    q = planner.standing_at("balance")
+    most = float(planner.rates.jerk[1])
+    assert audit.of(turning_joint_2(q, [most, -most, most])).over_limit < 1e-6
+    assert audit.of(turning_joint_2(q, [most, -1.05 * most, most])).over_limit == pytest.approx(0.05, abs=1e-3)
+    jumping = audit.of(turning_joint_2(q, [most / 2, 0.0, 0.0], jump=0.1))
+    assert jumping.over_limit > 0.1
+    full = planner.move(q, "mortar_bay")  # some joint is at its acceleration or jerk limit
+    assert audit.of(full).over_limit < 1e-6
+    assert audit.of(full.stretched(1.05 ** (-1 / 3))).over_limit > 0.03
 
 
 @pytest.mark.parametrize("name", ["body.stl", "body.obj"])

@@ -49,6 +49,25 @@ def test_a_motion_passes_its_via_point_with_its_speed_without_a_jump():
         assert motion.sample(time_s) == pytest.approx(np.array(pieces[0].at_time(time_s)[0]), abs=1e-7)
 
 
+def test_pieces_meet_exactly_though_ruckig_ends_one_beside_its_target():
+    # From a motion that the audit told of: Ruckig ends its second joint 7e-9 rad from the target.
+    law = TimeLaw(
+        RateLimits(np.array([4.817, 3.142, 4.817, 4.817, 4.817, 4.817, 4.817]), RATES.acceleration, RATES.jerk)
+    )
+    points, speeds = np.zeros((3, 7)), np.zeros((3, 7))
+    points[0] = 0.08144189, 0.76555396, 0.0, -2.44601379, 0.0, -0.34136331, 0.0
+    points[1] = 0.39347461, 0.75512561, -0.42226998, -1.92763029, -0.19402949, -0.19558013, -0.59903613
+    speeds[1] = -0.12725889, -0.01121631, 0.20706206, 0.11890664, -0.33581379, 0.02218909, -0.04262292
+    points[2] = points[1] + 0.3
+    motion = cubics(law.pieces(points, speeds))
+    h = np.diff(motion.knots_s)[:-1, None]
+    c0, c1, c2, c3 = motion.coefficients[:, :-1]
+    assert c0 + h * (c1 + h * (c2 + h * c3)) == pytest.approx(motion.coefficients[0, 1:], abs=1e-13)
+    jerks = np.diff(motion.at(np.arange(0.0, motion.duration_s, 1e-3)), 3, axis=0) / 1e-9
+    assert (np.abs(jerks).max(axis=0) <= 1.0001 * RATES.jerk).all()
+    assert motion.end == pytest.approx(points[2], abs=3e-8)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_a_motions_span_is_exactly_what_it_passes(seed):
     rng = np.random.default_rng(seed)

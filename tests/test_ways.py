@@ -1,9 +1,10 @@
-"""What `check` finds before a run would: ways that no pair of places tells of."""
+"""What `check`, and `plan`, find before a run would: ways that no pair of places tells of."""
 
+import json
 import re
 
 import pytest
-from conftest import LabFolder
+from conftest import Call, LabFolder
 
 from harness.own_workflow import TREE, write_own
 from scuhand_bt.lab import read_lab
@@ -36,6 +37,7 @@ def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks
     assert blocked(lab) == [], "the place itself can be reached"
     lab.write("trees/mine.yaml", TREE.replace("mass: $mass}", "mass: $mass, from_above: 30 mm}"))
     (message,) = blocked(lab)
+    assert message.startswith("the last 30 mm straight down to 'balance+")
     assert "roof" in message
 
 
@@ -77,3 +79,11 @@ def test_a_hand_so_heavy_that_a_servo_gets_hot_is_warned_of_each_time(lab: LabFo
         assert "holds" in strained.message
         assert "N m" in strained.message
         assert strained.mark.line == 5
+
+
+def test_a_plan_with_dry_runs_tells_what_planning_the_arms_ways_tells(lab: LabFolder, command: Call) -> None:
+    lab.replace("robot/cell.yaml", "hand: {driver: hand_controller,", "hand: {driver: hand_controller, mass: 480 g,")
+    asked = ("plan", lab.folder / "recipes" / "one.yaml", "--workers", 1, "--json")
+    for trials in (0, 1):
+        notes = json.loads(command(*asked, "--trials", trials).stdout)["notes"]
+        assert any("it gets hot" in note for note in notes) == bool(trials)

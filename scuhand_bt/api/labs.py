@@ -14,7 +14,7 @@ from scuhand_bt.lab import Lab, find_lab, read_lab, state_folder, with_cell
 from scuhand_bt.problems import Problem
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.checking import Checked, check, on_the_cell
+from scuhand_bt.run.checking import Checked, check, on_the_cell, ways_lacking
 
 if TYPE_CHECKING:  # who only checks a recipe does not wait for the arm's kinematics
     from scuhand_bt.run.control import Control
@@ -98,9 +98,12 @@ class OpenLab:
         lab = self.require_cell()
         return make_plan(load_recipe(_given(recipe), lab), lab)
 
-    def notes(self, plan: Plan) -> list[Problem]:
-        """What a run of a plan on the real cell would be refused for, or ask, by what the lab knows of it now."""
-        return on_the_cell(plan, self.lab)
+    def notes(self, plan: Plan, *, ways: bool = False) -> list[Problem]:
+        """What a run of a plan on the real cell would be refused for, or ask, by what the lab knows of it now.
+
+        With `ways` the arm's ways are planned, too, as `check` does: seconds, unless that was done before.
+        """
+        return [*on_the_cell(plan, self.lab), *(ways_lacking(plan, self.lab) if ways else ())]
 
     def prepare(
         self,

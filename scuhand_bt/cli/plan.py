@@ -53,7 +53,7 @@ def plan(
     made, opened = the_plan(recipe, lab)
     loaded = opened.lab
     hours = _night(night, trials) if night is not None else None
-    notes = notes_of(made, opened, quiet=as_json)
+    notes = notes_of(made, opened, quiet=as_json, ways=bool(trials))
     odds = _odds(made, loaded, trials, workers) if trials else None
     if html is not None and odds is not None:
         _preview(made, loaded, odds, list(_of_persons(made, loaded, odds, hours)), html)

@@ -176,9 +176,9 @@ def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, OpenLab]":
     return made, opened
 
 
-def notes_of(made: "Plan", opened: "OpenLab", *, quiet: bool) -> list[str]:
+def notes_of(made: "Plan", opened: "OpenLab", *, quiet: bool, ways: bool = False) -> list[str]:
     """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
-    notes = [str(problem) for problem in opened.notes(made)]
+    notes = [str(problem) for problem in opened.notes(made, ways=ways)]
     for note in () if quiet else notes:
         err.print(Text(f"Note: {note}"))
     return notes

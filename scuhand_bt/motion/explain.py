@@ -41,8 +41,8 @@ def start_in_collision(scene: Scene, q: Floats) -> SkillFailed:
 def goal_blocked(scene: Scene, name: str, q: Floats) -> SkillFailed:
     """The failure of a goal none of whose configurations (n, 7) is free."""
     distance_m, names = max(scene.clearance_m(one) for one in q[:: max(1, len(q) // _LOOKED_AT)])
-    words = f"the arm cannot stand at {name} in any of its {len(q)} configurations: at best "
-    return SkillFailed(Code.ARM_NO_PATH, words + _apart(distance_m, names))
+    which = f" in any of its {len(q)} configurations: at best " if len(q) > 1 else ": "
+    return SkillFailed(Code.ARM_NO_PATH, f"the arm cannot stand at {name}{which}{_apart(distance_m, names)}")
 
 
 def no_way(scene: Scene, name: str, start: Floats, goals: Floats) -> SkillFailed:

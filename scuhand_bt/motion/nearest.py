@@ -1,5 +1,6 @@
 """The reachable pose nearest to one that is out of reach: what an `arm.unreachable` proposes."""
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -16,7 +17,8 @@ _LOOKED_AT = 16
 
 
 def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | None:
-    """The pose of the same axis nearest to an unreachable one in which the arm can stand; None if none within 0.6 m.
+    """The pose of the same axis nearest to an unreachable one in which the arm can stand, on whole millimetres; None if
+    none within 0.6 m.
 
     Shells of growing radius around the position (around where the arm, stretched towards it, ends, if that is
     nearer) until one is met; from there steps that come nearer, ever smaller, until none of 0.2 mm does.
@@ -42,6 +44,10 @@ def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | 
             step_m /= 2
         else:
             met, distance_m = best, float(np.linalg.norm(best - wanted_m))
+    # It lies on the edge of what can be reached: rounded anyhow, it could not be taken.
+    whole_mm = np.round(1e3 * met) + np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
+    whole_m = _first_reached(whole_mm / 1e3, wanted_m, reached)
+    met = met if whole_m is None else whole_m
     return ApexPose(met, pose.axis, pose.seam)
 
 

@@ -242,13 +242,17 @@ class MotionPlanner:
     ) -> StoppableTrajectory:
         """Straight down to a place, rest to rest: planned upwards from its posture, as not every other lets the arm.
 
-        A load is kept within `spill_limit_deg`. SkillFailed arm.no_path.
+        A load is kept within `spill_limit_deg`. SkillFailed arm.no_path, arm.unreachable.
         """
         posture = self._posture(place)
         below = apex(posture, self._mount)
         above = ApexPose(below.position_m + from_above_m * below.axis, below.axis)
         scene = self.scene(CLOSE_MARGIN_M)
-        up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
+        try:
+            up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
+        except SkillFailed as failure:
+            way = f"the last {1e3 * from_above_m:g} mm straight down to '{place}'"
+            raise SkillFailed(failure.code, f"{way}: {failure.detail}") from None
         return self._borne(up.reversed())
 
     def way_out(self, start: Floats, spill_limit_deg: float | None = None) -> tuple[StoppableTrajectory, str]:
@@ -366,7 +370,7 @@ class MotionPlanner:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
         begin = self._places.settled(checked_joints(start, self._limits_rad), self._geometry)
         if isinstance(goal, np.ndarray):
-            return begin, checked_joints(goal, self._limits_rad)[None, :], "where the way begins"
+            return begin, checked_joints(goal, self._limits_rad)[None, :], "the configuration asked for"
         if isinstance(goal, str):
             return begin, self._posture(goal)[None, :], goal
         goals = solutions(goal, self._mount, self._limits_rad)

@@ -151,8 +151,18 @@ class TimeLaw:
 
 
 def cubics(pieces: list[Trajectory]) -> JointTrajectory:
-    """Ruckig's profiles as one piecewise-cubic motion, exactly."""
-    return joined([_cubics_of(piece) for piece in pieces if piece.duration > _SHORTEST_S])
+    """Ruckig's profiles as one piecewise-cubic motion.
+
+    Ruckig ends a profile up to 1e-8 rad from its target. That does not matter where a motion ends, but a
+    piece that began at the target would be a jump, which over a millisecond is a jerk of 20 rad/s^3: each
+    piece begins where the one before it ends.
+    """
+    parts: list[JointTrajectory] = []
+    for piece in pieces:
+        if piece.duration > _SHORTEST_S:
+            part = _cubics_of(piece)
+            parts.append(part.begun_at(parts[-1].end) if parts else part)
+    return joined(parts)
 
 
 def _cubics_of(solved: Trajectory) -> JointTrajectory:

@@ -115,6 +115,12 @@ class JointTrajectory:
         knots_s[0] = 0.0
         return JointTrajectory(knots_s, ends[:, ::-1], self.spill_limit_deg)
 
+    def begun_at(self, q: Floats) -> "JointTrajectory":
+        """The same motion, moved so that it begins at q (n,)."""
+        coefficients = self.coefficients.copy()
+        coefficients[0] += q - self.start
+        return JointTrajectory(self.knots_s, coefficients, self.spill_limit_deg)
+
     def keeping(self, spill_limit_deg: float | None) -> "JointTrajectory":
         """The same motion, marked with the spill limit it was proven to keep."""
         return JointTrajectory(self.knots_s, self.coefficients, spill_limit_deg)

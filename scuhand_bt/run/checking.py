@@ -198,6 +198,13 @@ def _check_on_failure(recipe: Recipe, lint: Lint, used: Collection[str], problem
 # --- the ways of the arm
 
 
+def ways_lacking(plan: Plan, lab: Lab) -> list[Problem]:
+    """Which of the ways that a sound plan needs the arm has not, and where it would get hot."""
+    problems = Problems()
+    _check_ways(plan, lab, problems)
+    return problems.found
+
+
 def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
     """Find all ways between the plan's places, as a run does; what was found before is not looked for again."""
     key = _key(plan, lab)

@@ -13,7 +13,7 @@ diameter kd [mm] of the powder; D [mm] is the real opening. Around it:
 * arches: the mass between two grows as exp((D/Da)^3) (Thomas & Durian, Phys. Rev. Lett. 114, 178001, 2015),
   vibration breaks them (Janda et al., EPL 87, 2009), and so does the valve when it next opens;
 * surges: part of a cohesive powder comes in lumps, a Poisson process with exponential masses, whose mean
-  is fixed or grows with the gap;
+  is fixed or grows with the gap, or, for who asks for it, with that mass each;
 * avalanches: crystals that are shaken through a narrow gap jam and give way again; between two jams an exponential
   mass comes down (Zuriguel et al., Phys. Rev. E 71, 051303, 2005; Mankoc et al., Phys. Rev. E 80, 011309, 2009).
   Their mean flow is that of the law; they take the place of surges, and without vibration there are none;
@@ -35,10 +35,11 @@ ARCH_BREAKS_PER_S = 6.0
 
 
 class OurPowderFlow:
-    """Powder leaving the apex; one object per cone load."""
+    """Powder leaving the apex; one object per cone load. `equal_lumps`: each lump of a surge has their mean mass."""
 
-    def __init__(self, powder: Powder) -> None:
+    def __init__(self, powder: Powder, *, equal_lumps: bool = False) -> None:
         self._spec = powder.simulation
+        self._equal_lumps = equal_lumps
         self._load = 0.0  # not drawn yet
         self._heel_mg = 0.0
         self._packing = 1.0
@@ -93,13 +94,16 @@ class OurPowderFlow:
         elif spec.surge_share > 0.0 and entering_mg > 0.0:
             lumpy_mg = spec.surge_share * entering_mg
             entering_mg -= lumpy_mg
-            entering_mg += _in_lumps(lumpy_mg, spec.surge_mg * opening_mm**spec.surge_exponent, rng)
+            lump_mg = spec.surge_mg * opening_mm**spec.surge_exponent
+            entering_mg += _in_lumps(lumpy_mg, lump_mg, rng, equal=self._equal_lumps)
         return entering_mg
 
 
-def _in_lumps(mass_mg: float, lump_mg: float, rng: Generator) -> float:
-    """What comes of this mass in a step, if it comes in lumps of exponential mass with this mean."""
+def _in_lumps(mass_mg: float, lump_mg: float, rng: Generator, *, equal: bool = False) -> float:
+    """What comes of this mass in a step, if it comes in lumps of exponential mass with this mean, or of equal mass."""
     if mass_mg <= 0.0:
         return 0.0
     lump_mg = max(lump_mg, mass_mg)
-    return lump_mg * rng.standard_exponential() if rng.random() < mass_mg / lump_mg else 0.0
+    if rng.random() >= mass_mg / lump_mg:
+        return 0.0
+    return lump_mg if equal else lump_mg * rng.standard_exponential()
