@@ -83,7 +83,7 @@ EMPTY_S, DRY_S = 8.0, 60.0
 SCOOPED_ANEW_S = 3.0
 """The same for what is in any case to be scooped for again: less is left than is missing, and has stopped to come."""
 
-Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "long"]
+Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "rest", "long"]
 """Why an opening ended."""
 
 
@@ -189,13 +189,16 @@ class Adaptive:
 
     def _gave_out(self) -> Reason | None:
         """Why the dose does not go on out of this load, if it does not."""
-        known = self._known
-        request, mass_mg = known.request, known.bank.mass_mg
         if self._is_dry():
-            return self._given_up(mass_mg)
-        is_shaken = self._vibration > request.powder.vibration
-        is_near = known.most_mg - mass_mg < LAST_MG
-        return "rest" if request.may_scoop_again and is_shaken and self._has_flowed and is_near else None
+            return self._given_up(self._known.bank.mass_mg)
+        return "rest" if self._is_rest else None
+
+    @property
+    def _is_rest(self) -> bool:
+        """Whether the last of the dose is at hand, and the load has flowed and comes only shaken."""
+        request = self._known.request
+        is_near = self._known.most_mg - self._known.bank.mass_mg < LAST_MG
+        return request.may_scoop_again and is_near and self._vibration > request.powder.vibration and self._has_flowed
 
     @property
     def _has_flowed(self) -> bool:
@@ -282,6 +285,8 @@ class Adaptive:
                 self._barren_s, barren_mg = 0.0, mass_mg
             if self._is_dry():
                 return "dry"
+            if self._is_rest:
+                return "rest"
             if known.time_s - self._weighed_s > LONGEST_UNWEIGHED_S:
                 return "long"
 
