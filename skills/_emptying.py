@@ -78,11 +78,15 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     hangs_mm = cell.spec.hand.sheet_radius_mm * math.sqrt(max(0.0, 1.0 - now.axis[2] ** 2))  # its rim, at most
     top_m[2] = max(top_m[2], (cell.places_mm[source.station][2] + hangs_mm) / 1000)
     yield from cell.touch([ApexPose(top_m, now.axis, now.seam)], LEAVING_MM_PER_S, source.station)
-    try:
-        yield from cell.touch([ApexPose(top_m), cell.place(source.station)], LEAVING_MM_PER_S, source.station)
-    except SkillFailed as failure:
-        if failure.code != Code.ARM_NO_PATH:
-            raise
+    place = cell.place(source.station)
+    for upright in ([ApexPose(top_m), place], [place]):
+        try:
+            yield from cell.touch(upright, LEAVING_MM_PER_S, source.station)
+            break
+        except SkillFailed as failure:
+            if failure.code != Code.ARM_NO_PATH:
+                raise
+    else:
         yield from cell.move_to(source.station)  # nothing is in the way of another turn up there
     yield from cell.right_of_way.go()
     yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
