@@ -105,7 +105,8 @@ class Tally(Seen):
     at_kills_mm: list[float] = field(default_factory=list)
     """The rim at each kill."""
     batches: int = 0
-    ended_safe: int = 0
+    ended_safe: list[str] = field(default_factory=list)
+    """Why runs ended safe by themselves, which were resumed then."""
     doses_ended: int = 0
     """Of the samples, so many came to their dose once nobody killed any more."""
     problems: list[str] = field(default_factory=list)
@@ -330,7 +331,8 @@ def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
                 tally.problems.append(f"seed {seed}: a child broke")
                 break
             elif code not in (0, 1):
-                tally.ended_safe += 1
+                ends = [read_history(path).ended for path in journals(runs)]
+                tally.ended_safe.append("".join(end.reason for end in ends if end) or "it did not begin")
                 tries -= 1
                 time.sleep(DEAD_MEN_S)
         _judge(plan, lab, seed, twins.ask("seen")[1], tally)
