@@ -17,6 +17,7 @@ DOUBT = 0.2
 """The cone may hold more than believed, by this share of the load limit: scoops vary."""
 LONGEST_S = 300.0
 LEAVING_MM_PER_S = 60.0
+LEAVING_TURNS_DEG = (0.0, 20.0, -20.0, 45.0, -45.0, 75.0, -75.0, 110.0, -110.0)
 POURED_FROM_MM = 30.0
 """The lip above the mortar's edge while the cone is poured out."""
 POURING_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
@@ -72,21 +73,17 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
 
     So nothing is unknown.
     """
-    believed, now = cell.believed, cell.apex()
+    believed = cell.believed
     believed.touched(source)
-    top_m = now.position_m.copy()
-    hangs_mm = cell.spec.hand.sheet_radius_mm * math.sqrt(max(0.0, 1.0 - now.axis[2] ** 2))  # its rim, at most
-    top_m[2] = max(top_m[2], (cell.places_mm[source.station][2] + hangs_mm) / 1000)
-    yield from cell.touch([ApexPose(top_m, now.axis, now.seam)], LEAVING_MM_PER_S, source.station)
-    place = cell.place(source.station)
-    for upright in ([ApexPose(top_m), place], [place]):
+    ways = _ways_up(cell, source)
+    for way in ways:
         try:
-            yield from cell.touch(upright, LEAVING_MM_PER_S, source.station)
+            yield from cell.touch(way, LEAVING_MM_PER_S, source.station)
             break
         except SkillFailed as failure:
-            if failure.code != Code.ARM_NO_PATH:
+            if way is ways[-1] or failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
                 raise
-    else:
+    if len(way) == 1:
         yield from cell.move_to(source.station)  # nothing is in the way of another turn up there
     yield from cell.right_of_way.go()
     yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
@@ -95,6 +92,23 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     yield from empty_cone(cell)
     believed.returned(source.name, held_mg)
     cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+
+
+def _ways_up(cell: Cell, source: Source) -> list[list[ApexPose]]:
+    """Straight up out of a mortar, then upright on the spot and to its place; or upright on the way there; or only up.
+
+    The arm cannot go each of them, but may with the cone turned about its own axis meanwhile, which tips nothing out.
+    """
+    from scipy.spatial.transform import Rotation  # which not every command has to load
+
+    now, place = cell.apex(), cell.place(source.station)
+    assert now.seam is not None
+    top_m = now.position_m.copy()
+    hangs_mm = cell.spec.hand.sheet_radius_mm * math.sqrt(max(0.0, 1.0 - now.axis[2] ** 2))  # its rim, at most
+    top_m[2] = max(top_m[2], (cell.places_mm[source.station][2] + hangs_mm) / 1000)
+    seams = [Rotation.from_rotvec(math.radians(deg) * now.axis).apply(now.seam) for deg in LEAVING_TURNS_DEG]
+    ups = [ApexPose(top_m, now.axis, seam) for seam in seams]
+    return [[up, *ends] for ends in ([ApexPose(top_m), place], [place], []) for up in ups]
 
 
 def pour_back(cell: Cell, source: Source) -> Steps[None]:
