@@ -199,20 +199,26 @@ def test_what_is_moved_all_the_same_in_a_weighing_lets_it_begin_again(bench: Ben
     assert min(reading.time_s for reading in mean.readings) > shaken_s + 5.0
 
 
-def scooping_bench(starter: Lab, motion: MotionPlanner) -> tuple[Bench, Source]:
+def scooping_bench(
+    starter: Lab,
+    motion: MotionPlanner,
+    station: str = "mortar_bay",
+    mortar: str = "agate_mortar",
+    amount_mg: float = 20_000.0,
+) -> tuple[Bench, Source]:
     """A cell with beads in a mortar."""
     library = starter.library
     source = Source.model_construct(
         name="beads",
-        station="mortar_bay",
-        container="agate_mortar",
-        mortar=library.mortars["agate_mortar"],
+        station=station,
+        container=mortar,
+        mortar=library.mortars[mortar],
         powder=library.powders["glass_beads"],
-        amount_mg=20_000.0,
+        amount_mg=amount_mg,
         lot="1",
     )
     bench = Bench(starter, motion, {"beads": source})
-    bench.cell.believed.source_holds("beads", 20_000.0)
+    bench.cell.believed.source_holds("beads", amount_mg)
     bench.cell.places_mm = all_places(starter.cell, bench.cell.sources, [])
     return bench, source
 
@@ -281,6 +287,28 @@ def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion:
     assert cell.believed.cone_mg == 0.0
     left_mg = bench.world.masses_mg["source:beads"] + bench.world.masses_mg["sheet"]
     assert left_mg == pytest.approx(20_000.0, abs=10.0)
+
+
+def test_a_scoop_that_is_halted_where_the_arm_cannot_go_straight_up_comes_up_with_the_cone_turned(
+    starter: Lab,
+) -> None:
+    """A wrist's joint would be a degree beyond its limit: a run that was killed there could not be resumed."""
+    mortar = starter.library.mortars["small_agate_mortar"]
+    planner = starter.motion_planner({"mortar_bay_2": mortar})
+    bench, source = scooping_bench(starter, planner, "mortar_bay_2", "small_agate_mortar", 8000.0)
+    cell = bench.cell
+    planner.add_place("mortar_bay_2", cell.place("mortar_bay_2"))
+    cell.strokes_made["beads"] = 5
+    scooping = starter.library.skills["scoop"](source=source).run(cell)
+    while bench.clock.now_s < 6.96:
+        next(scooping)
+        bench.clock.wait([Wake(bench.clock.now_s + 0.05)])
+    scooping.close()
+    cell.hand.stop()
+    bench.do(bench.later(2.0, lambda: None))
+    bench.do(starter.library.skills["withdraw"]().run(cell))
+    assert cell.apex_mm() == pytest.approx(cell.places_mm["mortar_bay_2"], abs=0.5)
+    assert bench.world.masses_mg["spilled"] == 0.0
 
 
 def test_a_scoop_pours_what_its_mortar_gave_before_back_over_the_lip(starter: Lab, motion: MotionPlanner) -> None:
