@@ -316,6 +316,8 @@ class Dispense(Skill[Dose]):
 
     def _learn(self, cell: Cell, run: DoseRun) -> None:
         source = self._source(cell)
+        if run.finish.shaken_mg is not None:
+            cell.believed.flowed(run.finish.shaken_mg)
         if run.finish.powder is not None:
             cell.powder_beliefs[source.sheet_key] = run.finish.powder
         if (doubt := run.finish.doubt) is not None and cell.balance_belief.fits > 0:

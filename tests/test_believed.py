@@ -63,6 +63,7 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
         lambda is_short, m: lambda b: b.gave_out(is_short=is_short, lacked_mg=m), st.booleans(), masses_mg
     ),
     "rest_left": st.just(Believed.rest_left),
+    "flowed": st.builds(lambda m: lambda b: b.flowed(m), masses_mg),
     "cone_spilled": st.just(Believed.cone_spilled),
     "source_refilled": st.builds(
         lambda n, m: lambda b: b.source_refilled(n, m), st.sampled_from([*SOURCES]), masses_mg
@@ -194,9 +195,17 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "cone_mg": 3000.0,
         "cone_source": "beads",
         "has_rest": False,
-        "load": {"scooped_mg": 3000.0, "came_mg": 0.0, "is_first": True, "is_rest": False, "is_larger": False},
+        "load": {
+            "scooped_mg": 3000.0,
+            "came_mg": 0.0,
+            "is_first": True,
+            "flowed_mg": 0.0,
+            "is_rest": False,
+            "is_larger": False,
+        },
         "is_load_doubted": False,
         "yields": {},
+        "rests": {},
         "barren_loads": {},
         "sheet": "glass_beads/L7",
         "sheets_used": 1,
@@ -319,6 +328,58 @@ def test_the_rest_of_a_load_that_was_larger_than_thought_tells_how_large() -> No
     believed.dosing_ended(5000.0, 0.0)
     believed.rest_left()
     assert believed.yields == {"beads": pytest.approx(5000.0 / 0.85 / 4000.0)}
+
+
+@pytest.mark.parametrize(
+    ("shaken_mg", "rest", "there_mg"),
+    [
+        (100.0, {}, None),  # a drop that hung
+        (300.0, {"beads": 0.1 + 0.4 / 3}, 2700.0 / (1.0 - 0.1 - 0.4 / 3)),  # more would have come
+        (1200.0, {"beads": 0.4 + 0.1 / 3}, 1800.0 / (1.0 - 0.4 - 0.1 / 3)),
+        (1600.0, {}, None),  # it bridges
+    ],
+)
+def test_what_came_only_shaken_tells_what_a_rest_is_and_that_how_much_there_was(
+    shaken_mg: float, rest: dict[str, float], there_mg: float | None
+) -> None:
+    believed = Believed()
+    believed.source_holds("beads", 20_000.0)
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(1000.0, 0.0)
+    believed.dosing_ended(2000.0, 0.0)
+    believed.flowed(shaken_mg)
+    believed.rest_left()
+    assert believed.rests == pytest.approx(rest)
+    assert believed.yields == ({} if there_mg is None else {"beads": pytest.approx(there_mg / 4000.0)})
+    there_mg = there_mg or 4000.0
+    assert believed.cone_mg == pytest.approx(there_mg - 3000.0)
+    assert believed.sources_mg == {"beads": pytest.approx(20_000.0 - there_mg)}
+
+
+def test_a_loads_end_tells_what_its_powders_rest_is_and_a_later_rest_only_that_it_is_more() -> None:
+    believed = Believed()
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(4000.0, 0.0)
+    believed.flowed(80.0)
+    believed.gave_out(is_short=False)
+    assert believed.rests == {"beads": pytest.approx(0.02)}
+    for shaken_mg, rest in ((0.0, 0.02), (200.0, 0.05)):
+        believed.emptied()
+        believed.scooped(BEADS, 4000.0)
+        believed.dosing_ended(4000.0, 0.0)
+        believed.flowed(shaken_mg)
+        believed.rest_left()
+        assert believed.rests == {"beads": pytest.approx(rest)}
+        assert believed.yields == {"beads": pytest.approx((4000.0 - shaken_mg) / (1.0 - rest) / 4000.0)}
+
+
+def test_a_bridge_tells_nothing_of_a_rest() -> None:
+    believed = Believed()
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(1000.0, 0.0)
+    believed.flowed(300.0)
+    believed.gave_out(is_short=True)
+    assert believed.rests == {}
 
 
 def test_a_load_that_ran_empty_tells_what_its_scoop_brought() -> None:

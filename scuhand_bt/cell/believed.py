@@ -62,6 +62,8 @@ class Believed:
     """The load gave far less than it was believed to hold: it is let out before the next scoop."""
     yields: Masses = field(default_factory=lambda: MappingProxyType({}))
     """By source, the share of what its scoops should bring that the last load was seen to; 1 until one was seen."""
+    rests: Masses = field(default_factory=lambda: MappingProxyType({}))
+    """By source, the last share of a load that comes only shaken, as far as it was seen."""
     barren_loads: Counts = field(default_factory=lambda: MappingProxyType({}))
     """By source, how many loads in a row, the last ones, have brought nothing."""
     sheet: str | None = None
@@ -195,6 +197,8 @@ class Believed:
         if (name := self.cone_source) is None:
             return
         load, is_wide = self.load, lacked_mg >= BARREN_MG
+        if not is_short and (shaken := load.shaken_share) is not None:
+            self._set(rests={**self.rests, name: shaken})
         if load.scooped_mg > 0.0 and not load.is_barren:
             if is_wide or not is_short:
                 self._set(yields={**self.yields, name: load.scoops_share})
@@ -214,9 +218,18 @@ class Believed:
         Where that began long before it should have, the load was a poor one, as its source's next ones will be; and of
         one that was larger than thought nothing else has told how large.
         """
-        if (name := self.cone_source) is not None and (share := self.load.rest_share(self.cone_mg)) is not None:
-            self._set(yields={**self.yields, name: share})
+        if (name := self.cone_source) is not None:
+            if (rest := self.load.least_rest(self.rests.get(name))) is not None:
+                self._set(rests={**self.rests, name: rest})
+            if (there_mg := self.load.at_rest_mg(self.cone_mg, rest)) is not None:
+                self._set(yields={**self.yields, name: there_mg / self.load.scooped_mg})
+                self._moved_to_cone(name, there_mg - self.load.came_mg - self.cone_mg)
         self._set(load=replace(self.load, is_rest=True))
+
+    def flowed(self, shaken_mg: float) -> None:
+        """Of the dose that has just ended the last so much came only shaken, and what came before by itself."""
+        if self.cone_source is not None:
+            self._set(load=replace(self.load, flowed_mg=max(0.0, self.load.came_mg - _mass(shaken_mg))))
 
     def source_refilled(self, name: str, mass_mg: float) -> None:
         """A person has put so much more into a source, which may be scooped from again if it gave nothing."""
@@ -451,7 +464,7 @@ class Believed:
     def _moved_to_cone(self, name: str, mass_mg: float) -> None:
         """So much more of a source was in the cone than was believed."""
         left_mg = max(0.0, self.sources_mg.get(name, 0.0) - mass_mg)
-        self._set(cone_mg=self.cone_mg + mass_mg, sources_mg={**self.sources_mg, name: left_mg})
+        self._set(cone_mg=max(0.0, self.cone_mg + mass_mg), sources_mg={**self.sources_mg, name: left_mg})
 
     def _weighed(self, gross_mg: float) -> None:
         """A gross belongs to a container that is known: while containers are changed it says nothing."""

@@ -19,6 +19,9 @@ AS_EXPECTED = 0.25
 of every load costs time. What others bring changes as their bed does."""
 HIDDEN = 0.25
 """Of what has come of such a load, the share that is thought to be in it still: it has not given out."""
+SHAKEN_SHARE, MOST_REST = 0.05, 0.5
+"""Less than the first share of a load that came only shaken may be a drop that hung; more than the second is no rest of
+a load: its powder bridges."""
 POOR_REST, REST_SHARE = 0.5, 0.15
 """A load of which less than this share has come, of what was thought to be in it, and what is left comes only shaken,
 was a poorer one: it held what has come, and this share as its rest. So did one of which more has come than was thought.
@@ -35,6 +38,8 @@ class Load:
     """What has arrived on the balance."""
     is_first: bool = False
     """Nothing was scooped from its source before."""
+    flowed_mg: float = 0.0
+    """What had come when powder last came by itself; what came after that came only shaken."""
     is_rest: bool = False
     """What is left of it comes only shaken."""
     is_larger: bool = False
@@ -53,12 +58,33 @@ class Load:
         """
         return self.came_mg / self.scooped_mg
 
-    def rest_share(self, held_mg: float) -> float | None:
-        """The same, of one whose rest is left, with `held_mg` believed in it; None where that may well be there."""
-        is_poor = self.came_mg < POOR_REST * (self.came_mg + held_mg)
-        if self.scooped_mg == 0.0 or self.is_barren or not (is_poor or self.is_larger):
+    @property
+    def shaken_share(self) -> float | None:
+        """What came only shaken, as a share of what has come; None where that was no rest of a load."""
+        is_rest = not self.is_barren and self.flowed_mg >= (1.0 - MOST_REST) * self.came_mg
+        return max(0.0, 1.0 - self.flowed_mg / self.came_mg) if is_rest else None
+
+    def least_rest(self, known: float | None) -> float | None:
+        """The share that loads of its source leave as their rest, by what is `known` and by this one's, whose end was
+        not seen: at least what came only shaken, and, where nothing else is known, a third of what it could be besides.
+        """
+        seen = self.shaken_share
+        if seen is None or seen <= (SHAKEN_SHARE if known is None else known):
+            return known
+        return seen if known is not None else seen + (MOST_REST - seen) / 3
+
+    def at_rest_mg(self, held_mg: float, shaken_share: float | None) -> float | None:
+        """What was in it, of one whose rest is left; None where that cannot be told.
+
+        `shaken_share` is what loads of its source leave at least as their rest, None where none was seen; then only one
+        tells something that began long before it should have, with `held_mg` believed in it, or gave more.
+        """
+        if self.scooped_mg == 0.0 or self.is_barren:
             return None
-        return self.scoops_share / (1.0 - REST_SHARE)
+        if shaken_share is not None and self.flowed_mg > 0.0:
+            return max(self.came_mg, self.flowed_mg / (1.0 - shaken_share))
+        is_poor = self.came_mg < POOR_REST * (self.came_mg + held_mg)
+        return self.came_mg / (1.0 - REST_SHARE) if is_poor or self.is_larger else None
 
     def may_be_used_up(self, wanted_mg: float, held_mg: float, share: float | None) -> bool:
         """Whether a dose goes on with it until it gives out, whatever is believed to be left (`held_mg`): nothing else

@@ -15,6 +15,7 @@ that nothing has come, all shaking notwithstanding, makes it believe in less flo
 
 import math
 from collections.abc import Generator
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -105,6 +106,8 @@ class Adaptive:
         """Openings in a row that brought nothing."""
         self._has_come = False
         """Whether any opening has brought something."""
+        self._flowed_mg: float | None = None
+        """What had come after the last opening that brought something without being shaken for it."""
 
     @property
     def estimate_mg(self) -> float:
@@ -118,7 +121,9 @@ class Adaptive:
             return self._steps.send(seen)
         except StopIteration as end:
             finish: Finish = end.value
-            return finish
+            if self._flowed_mg is None:
+                return finish
+            return replace(finish, shaken_mg=max(0.0, finish.estimate_mg - self._flowed_mg))
 
     def _stream(self) -> Generator[Command, Observation, Finish]:
         known = self._known
@@ -142,6 +147,8 @@ class Adaptive:
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
             came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise_mg[False])
             self._has_come |= came
+            if came and self._vibration <= known.belief.vibration:
+                self._flowed_mg = known.bank.mass_mg
             if came or (self._vibration >= FULL and (self._has_come or self._barren_s > PRIMES_S)):
                 known.learn(gained_mg)
             # Lumps come when they will: several openings must have been in vain before they say something of a width.

@@ -74,6 +74,8 @@ class Finish:
     """What it now believes of the balance, where it learns."""
     doubt: Doubt | None = None
     """The first one of this dose."""
+    shaken_mg: float | None = None
+    """What came only shaken, after the last that came by itself; None where nothing did, or nobody watched."""
 
 
 Command = Pulse | Stream | Weigh | Finish
