@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from scuhand_bt.cell.believed import BARREN_LOADS
+from scuhand_bt.cell.believed_powder import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import (

@@ -1,0 +1,232 @@
+"""What is believed to be in the cone and in the sources, from what was measured and commanded; never the true mass."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Annotated, Any, TypeAlias
+
+from scuhand_bt.cell.load import BARREN_MG, HIDDEN, SURPLUS, Load
+from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY
+from scuhand_bt.dosing.strokes import Layer
+from scuhand_bt.specs import Source
+
+Counts: TypeAlias = Annotated[Mapping[str, int], READ_ONLY, AS_WRITTEN]
+Masses: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
+"""Masses [mg], or shares of such, by name; read-only, as the rest of what is believed."""
+Layers: TypeAlias = Annotated[Mapping[str, Layer], READ_ONLY, AS_WRITTEN]
+
+BARREN_LOADS = 2
+"""So many barren loads in a row, and a source is not scooped from any more: it is empty, or nothing gets out of the
+cone."""
+
+
+@dataclass(frozen=True)
+class BelievedPowder:
+    """The part of what a cell is believed to hold (`believed.py`) that is scooped and let out."""
+
+    cone_mg: float = 0.0
+    cone_source: str | None = None
+    """The source that the powder in the cone came from; it stays known until the cone is emptied, whatever is left."""
+    has_rest: bool = False
+    """Nothing comes of the cone any more, and it was not emptied since: what is left in it falls out where it tips."""
+    load: Load = field(default_factory=Load)
+    is_load_doubted: bool = False
+    """The load gave far less than it was believed to hold: it is let out before the next scoop."""
+    yields: Masses = field(default_factory=lambda: MappingProxyType({}))
+    """By source, the share of what its scoops should bring that the last load was seen to; 1 until one was seen."""
+    rests: Masses = field(default_factory=lambda: MappingProxyType({}))
+    """By source, the last share of a load that comes only shaken, as far as it was seen."""
+    barren_loads: Counts = field(default_factory=lambda: MappingProxyType({}))
+    """By source, how many loads in a row, the last ones, have brought nothing."""
+    sheet: str | None = None
+    """The powder lot (`Source.sheet_key`) that this sheet has touched; None for a fresh one."""
+    sheets_used: int = 1
+    sources_mg: Masses = field(default_factory=lambda: MappingProxyType({}))
+    layers: Layers = field(default_factory=lambda: MappingProxyType({}))
+    """By source, what the last stroke has left on the mortar's wall; none for a bed that nothing was scooped from."""
+
+    @property
+    def seen_yields(self) -> Masses:
+        """Of `yields`, those of sources of which a load's end was seen, or was in an earlier run."""
+        unseen = self.cone_source if self.load.is_larger else None
+        return {name: share for name, share in self.yields.items() if name != unseen}
+
+    @property
+    def barren_sources(self) -> frozenset[str]:
+        """Those whose scoops have brought nothing so often that no more are made."""
+        return frozenset(name for name, loads in self.barren_loads.items() if loads >= BARREN_LOADS)
+
+    # --- the cone and the sources
+
+    def source_holds(self, name: str, mass_mg: float) -> None:
+        """So much is in a source: what a recipe, the inventory or an operator says."""
+        self._set(sources_mg={**self.sources_mg, name: mass(mass_mg)})
+
+    def scoops_bring(self, name: str, share: float) -> None:
+        """What scoops of a source were seen to bring of what was expected, in earlier runs; what this one has seen
+        counts more.
+        """
+        self._set(yields={name: mass(share), **self.yields})
+
+    def cone_holds(self, source: Source, mass_mg: float) -> None:
+        """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
+        self._set(cone_mg=mass(mass_mg), cone_source=source.name, sheet=source.sheet_key, load=Load())
+
+    def touched(self, source: Source) -> None:
+        """The sheet has gone into the powder of a source. ValueError while the cone holds another lot."""
+        if self.sheet == source.sheet_key:
+            return
+        if self.cone_mg > 0.0:
+            raise ValueError(f"the cone holds powder of '{self.cone_source}', and is in '{source.name}'")
+        self.emptied()
+        self._set(sheet=source.sheet_key)
+
+    def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None) -> None:
+        """A scoop should have brought so much of a source into the cone; it has brought what this source yields of it.
+
+        It should have left this layer; None: nobody knows how it lies.
+        ValueError while the cone holds another source's powder.
+        """
+        if self.cone_mg > 0.0 and self.cone_source != source.name:
+            raise ValueError(f"the cone holds powder of '{self.cone_source}', and has scooped from '{source.name}'")
+        brought_mg = self.yields.get(source.name, 1.0) * mass(mass_mg)
+        left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - brought_mg)
+        self._set(
+            cone_mg=self.cone_mg + brought_mg,
+            cone_source=source.name,
+            sheet=source.sheet_key,
+            load=replace(
+                self.load,
+                scooped_mg=self.load.scooped_mg + mass_mg,
+                is_first=self.load.is_first or source.name not in self.layers,
+            ),
+            sources_mg={**self.sources_mg, source.name: left_mg},
+            layers={name: one for name, one in {**self.layers, source.name: layer}.items() if one is not None},
+        )
+
+    def emptied(self) -> None:
+        """Everything has been let out of the cone."""
+        self._set(cone_mg=0.0, cone_source=None, has_rest=False, load=Load(), is_load_doubted=False)
+
+    def cone_spilled(self) -> None:
+        """The arm was limp: nobody knows what is left in the cone. Nothing is counted on, and it is let out first."""
+        if self.cone_source is not None:
+            self._set(cone_mg=0.0, is_load_doubted=True)
+
+    def returned(self, source: str, mass_mg: float) -> None:
+        """So much has come back into a source."""
+        self.source_holds(source, self.sources_mg.get(source, 0.0) + mass(mass_mg))
+
+    def gave_out(self, *, is_short: bool, lacked_mg: float = math.inf) -> None:
+        """Nothing comes any more, open and shaken: what that tells of the load, and of what the source's scoops bring.
+
+        A load that `is_short` gave far less than it was believed to hold: a bridge holds it, or it was a poor scoop.
+        Any other was all of it: what it was thought to hold still never left its source. Where the dose lacked next to
+        nothing (`lacked_mg`) lumps were waited for through a narrow gap: that tells neither a poor scoop nor none.
+        """
+        if (name := self.cone_source) is None:
+            return
+        load, is_wide = self.load, lacked_mg >= BARREN_MG
+        if not is_short and (shaken := load.shaken_share) is not None:
+            self._set(rests={**self.rests, name: shaken})
+        if load.scooped_mg > 0.0 and not load.is_barren:
+            if is_wide or not is_short:
+                self._set(yields={**self.yields, name: load.scoops_share})
+        elif load.scooped_mg > 0.0 and is_wide:
+            self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
+            self._lies_beside(name, load.scooped_mg)
+        if is_short:
+            self._set(is_load_doubted=True)
+        else:
+            self.returned(name, self.cone_mg)
+            self.emptied()
+            self._set(has_rest=True)
+
+    def rest_left(self) -> None:
+        """What is left in the cone comes only shaken: that is for a dose's most, and not for the last of it.
+
+        Where that began long before it should have, the load was a poor one, as its source's next ones will be; and of
+        one that was larger than thought nothing else has told how large.
+        """
+        if (name := self.cone_source) is not None:
+            if (rest := self.load.least_rest(self.rests.get(name))) is not None:
+                self._set(rests={**self.rests, name: rest})
+            if (there_mg := self.load.at_rest_mg(self.cone_mg, rest)) is not None:
+                self._set(yields={**self.yields, name: there_mg / self.load.scooped_mg})
+                self._moved_to_cone(name, there_mg - self.load.came_mg - self.cone_mg)
+        self._set(load=replace(self.load, is_rest=True))
+
+    def flowed(self, shaken_mg: float) -> None:
+        """Of the dose that has just ended the last so much came only shaken, and what came before by itself."""
+        if self.cone_source is not None:
+            self._set(load=replace(self.load, flowed_mg=max(0.0, self.load.came_mg - mass(shaken_mg))))
+
+    def source_refilled(self, name: str, mass_mg: float) -> None:
+        """A person has put so much more into a source, which may be scooped from again if it gave nothing."""
+        self.source_holds(name, self.sources_mg.get(name, 0.0) + mass(mass_mg))
+        self._set(barren_loads={other: loads for other, loads in self.barren_loads.items() if other != name})
+
+    def sources_mended(self) -> None:
+        """A person has looked after the sources that gave nothing: they may be scooped from again."""
+        barren = self.barren_sources
+        self._set(barren_loads={name: loads for name, loads in self.barren_loads.items() if name not in barren})
+
+    # --- the sheet
+
+    def sheet_swapped(self) -> None:
+        """A fresh sheet is in the hand; what was in the cone went with the old one."""
+        self.sheet_is(None, self.sheets_used + 1)
+
+    def sheet_is(self, lot: str | None, number: int) -> None:
+        """This sheet, by its number, is in the hand, has touched this powder lot (None: it is fresh), and is empty."""
+        self._set(sheet=lot, sheets_used=count(number))
+        self.emptied()
+
+    # --- within
+
+    def _left_cone(self, mass_mg: float) -> None:
+        """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""
+        if (name := self.cone_source) is None:
+            return
+        load = replace(self.load, came_mg=self.load.came_mg + mass_mg)
+        if not load.is_barren and name in self.barren_loads:
+            self._set(barren_loads={one: loads for one, loads in self.barren_loads.items() if one != name})
+        self._set(cone_mg=self.cone_mg - mass_mg, load=load)
+        if self.cone_mg < 0.0:  # it was in the cone, and is not in its source
+            self._moved_to_cone(name, -self.cone_mg)
+        more_mg = load.came_mg - self.yields.get(name, 1.0) * load.scooped_mg
+        if load.scooped_mg > 0.0 and more_mg > SURPLUS * (load.came_mg - more_mg):
+            self._set(
+                load=replace(load, is_larger=True),
+                yields={**self.yields, name: (1.0 + HIDDEN) * load.scoops_share},
+            )
+            self._moved_to_cone(name, max(0.0, HIDDEN * load.came_mg - self.cone_mg))
+
+    def _lies_beside(self, name: str, mass_mg: float) -> None:
+        """A stroke found nothing of so much: it lies where strokes do not come, and the next one goes deeper."""
+        if (layer := self.layers.get(name)) is not None:
+            self._set(layers={**self.layers, name: replace(layer, beside_mg=layer.beside_mg + mass_mg)})
+
+    def _moved_to_cone(self, name: str, mass_mg: float) -> None:
+        """So much more of a source was in the cone than was believed."""
+        left_mg = max(0.0, self.sources_mg.get(name, 0.0) - mass_mg)
+        self._set(cone_mg=max(0.0, self.cone_mg + mass_mg), sources_mg={**self.sources_mg, name: left_mg})
+
+    def _set(self, **changes: Any) -> None:
+        for name, value in changes.items():
+            object.__setattr__(self, name, MappingProxyType(value) if isinstance(value, dict) else value)
+
+
+def mass(mass_mg: float) -> float:
+    """A mass [mg]. ValueError for a negative one."""
+    if not mass_mg >= 0.0:
+        raise ValueError(f"a mass is not negative, as {mass_mg!r} mg is")
+    return mass_mg
+
+
+def count(number: int) -> int:
+    """A count. ValueError for a negative one."""
+    if number < 0:
+        raise ValueError(f"a count is not negative, as {number} is")
+    return number
