@@ -75,16 +75,15 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     """
     believed = cell.believed
     believed.touched(source)
-    ways = _ways_up(cell, source)
-    for way in ways:
+    for way in _ways_up(cell, source):
         try:
             yield from cell.touch(way, LEAVING_MM_PER_S, source.station)
             break
         except SkillFailed as failure:
-            if way is ways[-1] or failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
+            if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
                 raise
-    if len(way) == 1:
-        yield from cell.move_to(source.station)  # nothing is in the way of another turn up there
+    if len(way) == 1:  # as far up as that, or, where a wrist that is straight goes no line at all, from here
+        yield from cell.move_to(source.station)
     yield from cell.right_of_way.go()
     yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
     held_mg = believed.cone_mg
