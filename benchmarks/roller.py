@@ -4,8 +4,8 @@
 
 In real time, over twins in a process of their own (`harness/roller_kill.py`); a kill takes a quarter of a minute, most
 of it waiting. So several batches may run beside each other, each a lane that wants half a core at most: on a computer
-that is too busy the twins answer late, and runs end safe instead of scooping. Some seeds do so on an idle one, too
-(docs/scoop.md).
+that is too busy the twins answer late, and runs end safe instead of scooping; `ended_safe_and_resumed` tells why they
+did.
 """
 
 import argparse

@@ -152,9 +152,8 @@ class Adaptive:
             if came or (self._vibration >= FULL and (self._has_come or self._barren_s > PRIMES_S)):
                 known.learn(gained_mg)
             # Lumps come when they will: several openings must have been in vain before they say something of a width.
-            is_lumpy = known.bank.surge_mg > LUMPY_MG
             little = gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg)
-            in_vain = not came and self._fruitless > 1 if is_lumpy else little
+            in_vain = not came and self._fruitless > 1 if self._is_lumpy else little
             if in_vain and ended in ("quiet", "fear", "missing"):
                 known.little_came()
             self._shake(came)
@@ -192,7 +191,12 @@ class Adaptive:
             return self._barren_s > (EMPTY_S if may_scoop and self._known.most_mg - mass_mg > FAR_MG else DRY_S)
         left_mg = self._known.request.cone_mg - (mass_mg - self._start_mg)
         is_too_little = self._has_come and self._known.most_mg - mass_mg > max(left_mg, FAR_MG)
-        return self._barren_s > (SCOOPED_ANEW_S if is_too_little else EMPTY_S)
+        # Of lumps so short a bridge would pass for the end, with more than half of the load behind it.
+        return self._barren_s > (SCOOPED_ANEW_S if is_too_little and not self._is_lumpy else EMPTY_S)
+
+    @property
+    def _is_lumpy(self) -> bool:
+        return self._known.bank.surge_mg > LUMPY_MG
 
     def _gave_out(self) -> Reason | None:
         """Why the dose does not go on out of this load, if it does not."""
