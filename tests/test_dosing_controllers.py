@@ -179,6 +179,8 @@ def test_far_from_the_target_a_loads_rest_is_shaken_out_and_no_farther(target_mg
     assert dosed.run.finish.reason == "rest"
     assert any(point.vibration for point in dosed.run.curve)
     assert -500.0 < dosed.true_error_mg < -200.0
+    shaken_mg = target_mg + dosed.true_error_mg - (4000.0 - SALT_REST_MG)
+    assert dosed.run.finish.shaken_mg == pytest.approx(shaken_mg, abs=5.0)
 
 
 @pytest.mark.parametrize(
@@ -202,6 +204,13 @@ def test_a_load_that_has_flowed_and_gives_nothing_more_is_soon_scooped_anew(
     last_mg = run.curve[-1].net_mg
     dry_s = run.vibration_s - sum(0.1 for point in run.curve if point.vibration > 0.0 and point.net_mg < last_mg - 20.0)
     assert longest_s / 2.0 < dry_s < longest_s
+
+
+@pytest.mark.parametrize("seed", [2, 6])
+def test_a_bridge_of_lumps_is_no_end_of_a_load_that_holds_more_than_is_believed(seed: int) -> None:
+    rig = Bench(POWDERS["titanium_dioxide"], 4500.0, seed, 0, Setting(load_ratio=1.6))
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True, cone_mg=3600.0)
+    assert abs(dosed.true_error_mg) < 10.0, "with 600 and 1300 mg to go nothing came for 3 s"
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
