@@ -1,13 +1,15 @@
 """Worlds whose scoops bring less, or more, than the bed's geometry lifts: how well is the cone's content believed?
 
-    python -m benchmarks.yields [--seeds 2] [--json FILE]
+    python -m benchmarks.yields [--seeds 2] [--heel 0.2] [--json FILE]
 
 A dry run of eight doses for each share, powder, mortar and seed. Each time a scoop has ended, and each time a dose has,
 believed and true content of the cone are compared: off, as a share of what the scoop truly brought. The figures are of
-the scoops and doses after the third dose of the lot, beside those of the first scoop.
+the scoops and doses after the third dose of the lot, beside those of the first scoop. With `--heel`, powder that comes
+only shaken at the end of a load does so from this share of it on, and not from the shipped one.
 """
 
 import argparse
+import importlib
 import itertools
 import json
 import tempfile
@@ -29,6 +31,7 @@ from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.scoop import OurScoopYield
 from scuhand_bt.specs import Powder
 
@@ -55,6 +58,7 @@ class Shares:
     """A plant whose scoops bring this share of what the bed's geometry lifts."""
 
     share: ClassVar[float] = 1.0
+    heel: ClassVar[float | None] = None
 
     class Yield(OurScoopYield):
         def __init__(self, powder: Powder, share: float) -> None:
@@ -66,6 +70,12 @@ class Shares:
 
     def scoop(self, powder: Powder) -> OurScoopYield:
         return self.Yield(powder, self.share)
+
+    def flow(self, powder: Powder) -> OurPowderFlow:
+        if self.heel is not None and powder.simulation.heel > 0.0:
+            simulation = powder.simulation.model_copy(update={"heel": self.heel})
+            powder = powder.model_copy(update={"simulation": simulation})
+        return OurPowderFlow(powder)
 
 
 class Third(Shares):
@@ -176,9 +186,11 @@ def row_of(runs: list[dict[str, Any]], took_s: float) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--heel", type=float)
     parser.add_argument("--only", default="", help="cases whose names have this in them, beside those the file has")
     parser.add_argument("--json", type=Path, default=RESULTS)
     given = parser.parse_args()
+    importlib.import_module("benchmarks.yields").Shares.heel = given.heel  # where runs find their plants
     lab, motions = load_lab(starter_lab()), dict[str, MotionPlanner]()
     table: dict[str, Any] = json.loads(given.json.read_text()) if given.only and given.json.exists() else {}
     for mortar, powder, plant in itertools.product(MORTARS, POWDERS, PLANTS):
