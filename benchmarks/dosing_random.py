@@ -92,10 +92,12 @@ def work(job: Job) -> list[Dosed]:
     return [dose for target_mg, name in runs for dose in run_of_doses(job.drawn, target_mg, name, job.doses)]
 
 
-def run_of_doses(drawn: Drawn, target_mg: float, controller: str, count: int) -> list[Dosed]:
+def run_of_doses(
+    drawn: Drawn, target_mg: float, controller: str, count: int, believed_hand: HandSpec | None = None
+) -> list[Dosed]:
     """Doses on one plant, one after another; what is learnt goes with them."""
     powder = shipped_powders()[drawn.powder]
-    setting = Setting(name=drawn.family, plant=PLANT, hand=drawn.hand, believed_hand=HandSpec())
+    setting = Setting(name=drawn.family, plant=PLANT, hand=drawn.hand, believed_hand=believed_hand or HandSpec())
     RandomPlant.at_hand = drawn
     belief, balance = powder.belief, BalanceBelief()
     doses = []

@@ -115,6 +115,7 @@ def skills() -> dict[str, Any]:
     return dict(load_lab(ROBOT.parent).library.skills)
 
 
+@cache
 def shipped_powders() -> dict[str, Powder]:
     """The powders of `robot/powders.yaml`."""
     read = yaml.safe_load((ROBOT / "powders.yaml").read_text(encoding="utf-8"))

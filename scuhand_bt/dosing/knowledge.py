@@ -34,7 +34,6 @@ PEAK = 5
 """Readings that a flow's peak is taken over."""
 LEAST_MG = 2.0
 """Openings that neither brought this together nor should have teach nothing yet."""
-NOTHING_TOLD = (0.0, 0.0, 0.0)
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
@@ -105,7 +104,7 @@ class Knowledge:
         self._recent_mg: list[float] = []
         self._ratios: list[tuple[float, float, float]] = []
         """Of openings: what came [mg], the coefficient against the belief's as a logarithm, and the mean gap [mm]."""
-        self._told_of = NOTHING_TOLD
+        self._told_of = 0.0, 0.0, 0.0
         """Of openings that nothing was learnt from yet: what came [mg], the integral of phi, and how long [s]."""
         self.begin(0.0, 1.0)
 
@@ -299,7 +298,7 @@ class Knowledge:
         self._told_of = gained_mg, phi_s, open_s
         if max(gained_mg, self.reference * phi_s) < least_mg:
             return
-        self._told_of = NOTHING_TOLD
+        self._told_of = 0.0, 0.0, 0.0
         gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
         if gained_mg > least_mg:
             self.gap_mm = gap_mm
