@@ -2,7 +2,8 @@
 
     python -m benchmarks.dosing_ablation estimation.SURPRISING=25 knowledge.AIM_UNDER_MG=0,adaptive.ALARM=2
                                          [--powders monosodium_glutamate] [--targets 50 500] [--doses 600]
-                                         [--family msg --plants 20 --seeds tuning] [--json FILE]
+                                         [--family msg --plants 20 --seeds tuning] [--balance lab poles ...]
+                                         [--steps] [--json FILE]
     python -m benchmarks.dosing_ablation --listed [--json benchmarks/dosing_ablation.json]
 
 Each word is a variant, of one constant or of several with commas between; the law as it is comes first. Plants and
@@ -36,7 +37,7 @@ from scipy.stats import binomtest
 from benchmarks import dosing_random
 from benchmarks.dosing_worth import AGAIN, AS_IT_IS
 from benchmarks.rig import DOSES_PER_RUN, TOLERANCE_MG, Setting, run_of_doses, shipped_powders
-from harness.random_plants import FAMILIES, SETS, Drawn, draw
+from harness.random_plants import BALANCES, FAMILIES, SETS, Drawn, draw
 from scuhand_bt.cell_spec import HandSpec
 
 MODULES = tuple(
@@ -63,6 +64,9 @@ class World(NamedTuple):
     plants: int
     doses_on_plant: int
     streaming: bool = True
+    balances: Sequence[str] = ("lab",)
+    steps: bool = False
+    """Each balance's filter is changed once in a plant's run."""
 
 
 FREE = World(("glass_beads", "monosodium_glutamate"), ("beads", "msg"), dosing_random.TARGETS_MG, 30, 8, 2)
@@ -124,7 +128,15 @@ def jobs_of(
     for target_mg in world.targets_mg:
         for family in world.families if randomised else ():
             count = world.doses_on_plant
-            plants = draw(family, shipped_powders(), world.plants, seeds=seeds, balances=["lab"], doses=count)
+            plants = draw(
+                family,
+                shipped_powders(),
+                world.plants,
+                seeds=seeds,
+                balances=world.balances,
+                doses=count,
+                steps=world.steps,
+            )
             jobs[family, target_mg] = [
                 Job(target_mg, drawn.powder, 0, replace(drawn, seed=drawn.seed + other), count, world.streaming)
                 for drawn in plants
@@ -207,6 +219,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--family", nargs="+", choices=[*FAMILIES], help="randomised plants in place of powders")
     parser.add_argument("--plants", type=int, default=20, help="of each family; ten doses on each for each target")
     parser.add_argument("--seeds", default="tuning", choices=[*SETS])
+    parser.add_argument("--balance", nargs="+", default=["lab"], choices=[*BALANCES], help="of randomised plants")
+    parser.add_argument("--steps", action="store_true", help="each of their filters is changed once in its run")
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--json", type=Path)
     chosen = parser.parse_args(arguments)
@@ -222,7 +236,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"no powder is called {', '.join(sorted(unknown))}")
     if min(chosen.doses, chosen.plants, chosen.processes, *chosen.targets) <= 0:
         parser.error("doses, plants, processes and targets are more than 0")
-    world = World(chosen.powders, chosen.family or (), chosen.targets, chosen.doses, chosen.plants, DOSES_PER_RUN)
+    world = World(
+        chosen.powders,
+        chosen.family or (),
+        chosen.targets,
+        chosen.doses,
+        chosen.plants,
+        DOSES_PER_RUN,
+        balances=chosen.balance,
+        steps=chosen.steps,
+    )
     jobs = jobs_of(world, bool(chosen.family), chosen.seeds)
     kept: dict[str, dict[str, float]] = {}
     base_s: dict[tuple[str, float], float] = {}

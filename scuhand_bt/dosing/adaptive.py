@@ -95,7 +95,6 @@ class Adaptive:
     def __init__(self, request: DoseRequest) -> None:
         self._known = Knowledge(request)
         self._steps = self._stream() if request.streaming else pulses(self._known)
-        self._started = False
         self._start_mg = self._weighed_s = 0.0
         """What was on the pan before; when there was a stable mean last."""
         self._vibration = request.powder.vibration
@@ -112,10 +111,7 @@ class Adaptive:
 
     def decide(self, seen: Observation | None) -> Command:
         try:
-            if seen is None or not self._started:
-                self._started = True
-                return next(self._steps)
-            return self._steps.send(seen)
+            return next(self._steps) if seen is None else self._steps.send(seen)
         except StopIteration as end:
             finish: Finish = end.value
             return finish
@@ -212,12 +208,10 @@ class Adaptive:
     def _look(self, rest_mg: float) -> Generator[Command, Observation, None]:
         """Valve shut: until the balance has shown what there is but for `rest_mg`."""
         known, begin_s = self._known, self._known.time_s
-        while True:
+        while known.time_s - begin_s <= LONGEST_LOOK_S:
             yield from known.act(0.0, 0.0)
             shut = known.valve.opening_mm == 0.0
             if shut and not known.is_rising and known.bank.unseen_mg < rest_mg + 2.0 * known.noise_mg[False]:
-                return
-            if known.time_s - begin_s > LONGEST_LOOK_S:
                 return
 
     def _open(self) -> Generator[Command, Observation, Ended]:

@@ -126,7 +126,7 @@ class Knowledge:
 
     def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
         """Hold a command until the next reading; its innovation in standard deviations."""
-        before_mm = self.valve.target_mm
+        before_mm = self._known_gap_mm
         self.valve.command(self.time_s, opening_mm)
         seen = yield Stream(opening_mm, vibration)
         dt_s = seen.time_s - self.time_s
@@ -134,11 +134,7 @@ class Knowledge:
         self.time_s = seen.time_s
         shaking = vibration > 0.0
         self._learn_noise(seen.net_mg, phi_s, shaking)
-        changed = 0.0
-        if opening_mm > 0.0:
-            gap_mm = max(opening_mm - self.shape.threshold_mm, NARROWEST_MM)
-            from_mm = max(before_mm - self.shape.threshold_mm, NARROWEST_MM) if before_mm > 0.0 else self.gap_mm
-            changed = math.log(gap_mm / from_mm)
+        changed = math.log(self._known_gap_mm / before_mm) if opening_mm > 0.0 else 0.0
         row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
@@ -225,8 +221,7 @@ class Knowledge:
             self.shape,
             min(self.aim_mg, most_mg),
             most_mg,
-            self._late_s,
-            request.valve_dead_time_s,
+            self._late_s + request.valve_dead_time_s,
             request.valve_speed_mm_per_s,
             request.max_opening_mm,
             self.reference,
