@@ -202,8 +202,8 @@ def measure_listed(path: Path, processes: int) -> None:
                         if key not in kept:
                             told = [dose for doses in pool.map(partial(work, variant), of_cell) for dose in doses]
                             kept[key] = figures(told)
+                            path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
                 print(f"{name} | {text}", flush=True)
-                path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -103,12 +103,21 @@ def _row(line: str, results: Results, listed: Mapping[str, Sequence[str]]) -> st
     return f"| {' | '.join(cells)} |"
 
 
+def _worth_of(results: Results, world: str, plants: str, text: str) -> str:
+    """With the doses that it was measured in, where those are fewer than the world's."""
+    pairs, all_pairs = (pairs_of(results, world, plants, name) for name in (text, AS_IT_IS))
+    if not pairs:
+        return "not measured yet"
+    doses = f" ({sum(of['doses'] for _, of in pairs):g} doses)" if len(pairs) < len(all_pairs) else ""
+    return worth(pairs) + doses
+
+
 def _told(names: str, plants: str, results: Results, listed: Mapping[str, Sequence[str]]) -> str:
     """One cell of a row: each variant that begins with one of its constants."""
     told = []
     for world, variants in listed.items():
         for text in variants:
-            first, pairs = text.partition("=")[0].partition(".")[2], pairs_of(results, world, plants, text)
-            if f"`{first}`" in names and pairs:
-                told.append(f"`{re.sub(MODULE, '', text)}`: {worth(pairs)}")
+            first = text.partition("=")[0].partition(".")[2]
+            if f"`{first}`" in names:
+                told.append(f"`{re.sub(MODULE, '', text)}`: {_worth_of(results, world, plants, text)}")
     return "; ".join(told)

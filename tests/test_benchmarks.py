@@ -9,7 +9,7 @@ import pytest
 import yaml
 from dose_bench import shipped_powders
 
-from benchmarks import dosing_ablation, dosing_random
+from benchmarks import dosing_ablation, dosing_random, rig
 from benchmarks.calibration import (
     TABLES,
     Result,
@@ -33,6 +33,7 @@ from harness.random_physics import DrawnFlow, FlowFigures
 from harness.random_plants import draw
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.dosing import estimation
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Departure
 
 pytestmark = pytest.mark.slow
@@ -259,6 +260,23 @@ def test_a_listed_run_that_was_broken_off_goes_on(tmp_path: Path, monkeypatch: p
     assert [of["doses"] for of in kept.values()] == [7, 2, 1, 2, 1, 2]
 
 
+def fails(*_: object) -> None:
+    raise SkillFailed(Code.BALANCE_UNSTABLE, "no stable reading")
+
+
+def test_a_dose_that_no_bare_pan_has_confirmed_is_not_told_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig, "take_container_away", fails)
+    (trial,) = run_of_doses(shipped_powders()["glass_beads"], 20.0, "adaptive", 1, Setting(), 1)
+    assert abs(trial.true_error_mg) < 2.0
+    assert not trial.accepted
+
+
+def test_a_balance_that_weighs_no_dish_gives_no_dose(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dosing_random, "Bench", fails)
+    (drawn,) = draw("beads", shipped_powders(), 1)
+    assert dosing_random.run_of_doses(drawn, 20.0, "adaptive", 2) == []
+
+
 def test_each_listed_variant_is_of_constants_that_the_law_has() -> None:
     for variants in yaml.safe_load(LISTED.read_text()).values():
         assert all(read_variant(text) for text in variants)
@@ -298,8 +316,12 @@ def test_the_table_of_constants_is_filled_from_the_results() -> None:
         f"free | shipped | {AS_IT_IS} | beads | 20": FIGURES,
         f"free | shipped | {AGAIN} | beads | 20": FIGURES | {"over": 2, "mean_s": 10.1},
         "free | shipped | knowledge.FOLLOWS=0 | beads | 20": FIGURES | {"true": 90.0},
+        f"free | randomised | {AS_IT_IS} | beads | 20": FIGURES,
+        f"free | randomised | {AS_IT_IS} | beads | 50": FIGURES,
+        "free | randomised | knowledge.FOLLOWS=0 | beads | 50": FIGURES | {"true": 89.0},
     }
     row = "| `FOLLOWS` | 0.04 | how far | tuned | {} | {} |\n| `RISK` | 0.005 | chance | specified |  |  |\n"
+    missing = "| `SLOWER` | 0.7 | how low | tuned | {0} | {0} |\n"
     marks = "<!-- noise -->\n{}\n<!-- end of noise -->\nrest"
     listed = {"free": ["knowledge.FOLLOWS=0", "knowledge.SLOWER=0"]}
     told = noise(of, listed)
@@ -307,8 +329,12 @@ def test_the_table_of_constants_is_filled_from_the_results() -> None:
         "* `free`, shipped: 100 doses; noise is 4.0 points, 0.14 mg and 6 % of the time; "
         "other seeds make too much 2 for 1, time x 1.01."
     )
-    page = filled(row.format("", "") + marks.format("old"), of, listed)
-    assert page == row.format("`FOLLOWS=0`: success -8.0 points", "") + marks.format(told)
+    page = filled(row.format("", "") + missing.format("") + marks.format("old"), of, listed)
+    assert page == (
+        row.format("`FOLLOWS=0`: success -8.0 points", "`FOLLOWS=0`: success -9.0 points (100 doses)")
+        + missing.format("`SLOWER=0`: not measured yet")
+        + marks.format(told)
+    )
 
 
 def test_what_constants_are_worth_is_as_it_was_measured() -> None:

@@ -47,8 +47,8 @@ FLOWS = 0.2
 """Of its reference: a flow that is at least this strong is what was expected."""
 ALARM = 1.3
 """A flow that is surely so many times the expected one, near the target, shuts the valve."""
-SURPRISE, SURPRISES = 5.0, 3
-"""So many readings in a row, so many standard deviations above prediction, shut the valve."""
+SURPRISE = 5.0
+"""A reading so many standard deviations above prediction shuts the valve."""
 CAME_SHARE, CAME_MG = 0.2, 20.0
 """An opening that brought this share of what was expected, or of so much, was not in vain."""
 SLOW_SHARE = 0.5
@@ -230,7 +230,7 @@ class Adaptive:
         stuck_seen_s, came_s, begins_mm = known.time_s + known.seen_s, math.inf, known.begins_mm(most_mg - bank.mass_mg)
         # A lump cannot be let out in part: where it is shaken for, it may come.
         shaken_mm = min(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.request.max_opening_mm)
-        surprises, opening_mm = 0, math.inf
+        opening_mm = math.inf
         if known.aim_mg <= bank.mass_mg:
             return "reached"
         while True:
@@ -242,8 +242,7 @@ class Adaptive:
             score = yield from known.act(min(opening_mm, begins_mm) if may_stick else opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
-            surprises = surprises + 1 if score > SURPRISE else 0
-            if surprises >= SURPRISES:
+            if score > SURPRISE:
                 return "surprise"
             flows = bank.coefficient - 1.5 * bank.coefficient_sd
             if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
