@@ -31,7 +31,7 @@ from benchmarks.rig import TOLERANCE_MG, Bench, Setting, shipped_powders
 from harness.random_plants import BALANCES, FAMILIES, SETS, Drawn, RandomPlant, draw
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.dosing import CONTROLLERS
-from scuhand_bt.failures import Code
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.mass_ledger import CONE
 from scuhand_bt.specs import BalanceBelief
 
@@ -92,17 +92,25 @@ def work(job: Job) -> list[Dosed]:
     return [dose for target_mg, name in runs for dose in run_of_doses(job.drawn, target_mg, name, job.doses)]
 
 
-def run_of_doses(drawn: Drawn, target_mg: float, controller: str, count: int) -> list[Dosed]:
-    """Doses on one plant, one after another; what is learnt goes with them."""
+def run_of_doses(
+    drawn: Drawn, target_mg: float, controller: str, count: int, believed_hand: HandSpec | None = None
+) -> list[Dosed]:
+    """Doses on one plant, one after another; what is learnt goes with them.
+
+    None of a dish that the balance cannot weigh: it is refused before the dose.
+    """
     powder = shipped_powders()[drawn.powder]
-    setting = Setting(name=drawn.family, plant=PLANT, hand=drawn.hand, believed_hand=HandSpec())
+    setting = Setting(name=drawn.family, plant=PLANT, hand=drawn.hand, believed_hand=believed_hand or HandSpec())
     RandomPlant.at_hand = drawn
     belief, balance = powder.belief, BalanceBelief()
     doses = []
     for dose in range(count):
         began_s = time.process_time()
         RandomPlant.dose = dose
-        bench = Bench(powder, target_mg, drawn.seed, dose, setting)
+        try:
+            bench = Bench(powder, target_mg, drawn.seed, dose, setting)
+        except SkillFailed:
+            continue
         bench.clock.process = Trickling(bench)
         trial = bench.dose(controller, belief, balance)
         belief, balance = bench.cell.powder_beliefs[powder.name], bench.cell.balance_belief

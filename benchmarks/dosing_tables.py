@@ -1,4 +1,4 @@
-"""The tables of docs/dosing.md, from the figures that `benchmarks.dosing --json` kept.
+"""The tables of docs/dosing.md, from the figures that `benchmarks.dosing` and `benchmarks.dosing_ablation` kept.
 
 python -m benchmarks.dosing_tables [benchmarks/dosing_results.json] [docs/dosing.md]
 """
@@ -8,7 +8,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import yaml
+
 from benchmarks.dosing import CALIBRATED, REDO, TARGETS_MG, WAITING
+from benchmarks.dosing_ablation import LISTED, LISTED_RESULTS
+from benchmarks.dosing_worth import filled
 from benchmarks.rig import UNWAITING
 
 Figures = Mapping[str, float]
@@ -117,8 +121,14 @@ def waiting(results: Mapping[Key, Figures]) -> list[str]:
     return lines if cells else []
 
 
+def page_with_worth(page: str) -> str:
+    """What the law's constants are worth, by `benchmarks.dosing_ablation --listed`."""
+    results = json.loads(LISTED_RESULTS.read_text(encoding="utf-8"))
+    return filled(page, results, yaml.safe_load(LISTED.read_text(encoding="utf-8")))
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Replace what stands below the mark."""
+    """Replace what stands below the mark, and the columns of what constants are worth."""
     here = Path(__file__).parent
     source = Path(arguments[0]) if arguments else here / "dosing_results.json"
     page = Path(arguments[1]) if len(arguments) > 1 else here.parent / "docs" / "dosing.md"
@@ -127,7 +137,7 @@ def main(arguments: Sequence[str]) -> int:
     rows = {key[0] for key in results}
     blocks += [redo(results)] if REDO in rows else []
     blocks += [robust(results)] if rows - {CALIBRATED, REDO} else []
-    text = page.read_text(encoding="utf-8").split(MARK)[0]
+    text = page_with_worth(page.read_text(encoding="utf-8")).split(MARK)[0]
     below = "\n\n".join("\n".join(block).rstrip() for block in blocks if block)
     page.write_text(text + MARK + "\n" + below + "\n", "utf-8")
     return 0

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from dose_bench import shipped_powders
 
-from benchmarks import dosing_random
+from benchmarks import dosing_ablation, dosing_random, rig
 from benchmarks.calibration import (
     TABLES,
     Result,
@@ -23,12 +24,16 @@ from benchmarks.calibration import (
 from benchmarks.code_mutator import mutants_of
 from benchmarks.dem.bed import collected_mg
 from benchmarks.dem.cases import MORTARS, Case
-from benchmarks.dosing_ablation import MODULES, change, read_variant
+from benchmarks.dosing_ablation import FREE, LISTED, MODULES, Job, changed, jobs_of, measure_listed, read_variant, work
+from benchmarks.dosing_tables import page_with_worth
+from benchmarks.dosing_worth import AGAIN, AS_IT_IS, filled, noise, worth
 from benchmarks.oracle_model import SHUT, Model
 from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
 from harness.random_physics import DrawnFlow, FlowFigures
 from harness.random_plants import draw
 from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.dosing import estimation
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Departure
 
 pytestmark = pytest.mark.slow
@@ -222,13 +227,119 @@ def test_arm_and_roller_were_beside_each_other(way: str, mortar: str) -> None:
     assert row["most_rim_mm"] < 1.0
 
 
-def test_an_ablation_changes_a_constant_wherever_the_law_uses_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_ablation_changes_a_constant_wherever_the_law_uses_it_and_gives_it_back() -> None:
     using = [module for module in MODULES if hasattr(module, "RISK")]
-    for module in using:
-        monkeypatch.setattr(module, "RISK", 0.005)
-    change(read_variant("constraint.RISK=0.1"))
     assert len(using) > 1
-    assert {module.RISK for module in using} == {0.1}
+    with changed(read_variant("constraint.RISK=0.1,estimation.CHANGE_S=(0.3,9)")):
+        assert {module.RISK for module in using} == {0.1}
+        assert estimation.CHANGE_S == (0.3, 9)
+    assert {module.RISK for module in using} == {0.005}
+    assert estimation.CHANGE_S == (0.3, 3.0)
+
+
+def test_doses_of_a_variant_differ_and_those_of_other_seeds_too() -> None:
+    job = Job(20.0, "glass_beads", 0, None, 1)
+    as_it_is = work({}, job)
+    assert work({}, job) == as_it_is
+    assert work({"knowledge.AIM_UNDER_MG": 1.0}, job) != as_it_is
+    assert work({}, job._replace(run=1)) != as_it_is
+    assert work({}, job._replace(streaming=False)) != as_it_is
+
+
+def test_a_listed_run_that_was_broken_off_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = FREE._replace(targets_mg=(20.0,), families=("beads",), powders=("glass_beads",), doses=1, plants=1)
+    listed = tmp_path / "listed.yaml"
+    listed.write_text("small: [knowledge.AIM_UNDER_MG=1]\n")
+    monkeypatch.setattr(dosing_ablation, "LISTED", listed)
+    monkeypatch.setattr(dosing_ablation, "WORLDS", {"small": small})
+    results = tmp_path / "results.json"
+    results.write_text(json.dumps({f"small | shipped | {AS_IT_IS} | glass_beads | 20": {"doses": 7}}))
+    measure_listed(results, processes=1)
+    kept = json.loads(results.read_text())
+    assert len(kept) == 6
+    assert [of["doses"] for of in kept.values()] == [7, 2, 1, 2, 1, 2]
+
+
+def fails(*_: object) -> None:
+    raise SkillFailed(Code.BALANCE_UNSTABLE, "no stable reading")
+
+
+def test_a_dose_that_no_bare_pan_has_confirmed_is_not_told_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig, "take_container_away", fails)
+    (trial,) = run_of_doses(shipped_powders()["glass_beads"], 20.0, "adaptive", 1, Setting(), 1)
+    assert abs(trial.true_error_mg) < 2.0
+    assert not trial.accepted
+
+
+def test_a_balance_that_weighs_no_dish_gives_no_dose(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dosing_random, "Bench", fails)
+    (drawn,) = draw("beads", shipped_powders(), 1)
+    assert dosing_random.run_of_doses(drawn, 20.0, "adaptive", 2) == []
+
+
+def test_each_listed_variant_is_of_constants_that_the_law_has() -> None:
+    for variants in yaml.safe_load(LISTED.read_text()).values():
+        assert all(read_variant(text) for text in variants)
+
+
+def test_other_seeds_are_other_runs_and_the_same_plants() -> None:
+    shipped, others = (jobs_of(FREE, False, other=other)["glass_beads", 20.0] for other in (0, 5000))
+    assert [job.run for job in others] == [job.run + 5000 for job in shipped]
+    plants, again = (jobs_of(FREE, True, other=other)["msg", 500.0] for other in (0, 5000))
+    assert [job.drawn.flow for job in plants] == [job.drawn.flow for job in again]
+    assert [job.drawn.seed + 5000 for job in plants] == [job.drawn.seed for job in again]
+
+
+FIGURES = {
+    "doses": 100, "true": 98.0, "over": 1, "beyond_20mg": 0, "out": 0, "reported": 97,
+    "mean_mg": -0.1, "sd_mg": 0.5, "mean_s": 10.0, "sd_s": 2.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({}, "no dose differs"),
+        ({"true": 96.0, "over": 3, "mean_mg": -0.05, "mean_s": 10.1}, "within noise"),
+        ({"true": 90.0, "over": 8}, "success -8.0 points, too much 8 for 1"),
+        ({"beyond_20mg": 5, "out": 5}, "> 20 mg 5 for 0, false 'in tolerance' 5 for 0"),
+        ({"mean_mg": 0.1, "mean_s": 12.0}, "mean error +0.20 mg, time x 1.20"),
+        ({"reported": 80}, "told good -17.0 points"),
+    ],
+)
+def test_worth_is_told_where_it_is_more_than_chance(changed: dict[str, float], told: str) -> None:
+    assert worth([(FIGURES, FIGURES | changed)]) == told
+
+
+def test_the_table_of_constants_is_filled_from_the_results() -> None:
+    of = {
+        f"free | shipped | {AS_IT_IS} | beads | 20": FIGURES,
+        f"free | shipped | {AGAIN} | beads | 20": FIGURES | {"over": 2, "mean_s": 10.1},
+        "free | shipped | knowledge.FOLLOWS=0 | beads | 20": FIGURES | {"true": 90.0},
+        f"free | randomised | {AS_IT_IS} | beads | 20": FIGURES,
+        f"free | randomised | {AS_IT_IS} | beads | 50": FIGURES,
+        "free | randomised | knowledge.FOLLOWS=0 | beads | 50": FIGURES | {"true": 89.0},
+    }
+    row = "| `FOLLOWS` | 0.04 | how far | tuned | {} | {} |\n| `RISK` | 0.005 | chance | specified |  |  |\n"
+    missing = "| `SLOWER` | 0.7 | how low | tuned | {0} | {0} |\n"
+    marks = "<!-- noise -->\n{}\n<!-- end of noise -->\nrest"
+    listed = {"free": ["knowledge.FOLLOWS=0", "knowledge.SLOWER=0"]}
+    told = noise(of, listed)
+    assert told == (
+        "* `free`, shipped: 100 doses; noise is 4.0 points, 0.14 mg and 6 % of the time; "
+        "other seeds make too much 2 for 1, time x 1.01."
+    )
+    page = filled(row.format("", "") + missing.format("") + marks.format("old"), of, listed)
+    assert page == (
+        row.format("`FOLLOWS=0`: success -8.0 points", "`FOLLOWS=0`: success -9.0 points (100 doses)")
+        + missing.format("`SLOWER=0`: not measured yet")
+        + marks.format(told)
+    )
+
+
+def test_what_constants_are_worth_is_as_it_was_measured() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "dosing.md").read_text(encoding="utf-8")
+    assert page_with_worth(page) == page
 
 
 @pytest.mark.parametrize(

@@ -168,6 +168,23 @@ def test_the_mistakes_that_recipes_md_shows_are_told_in_those_words(lab_folder: 
         assert re.fullmatch(re.escape(expected).replace("…", ".*"), line)
 
 
+DOSING = (REPOSITORY / "docs" / "dosing.md").read_text(encoding="utf-8")
+STATE = {"READING", "RATE", "MASS", "K", "G"}
+"""Numbers of rows, not figures."""
+LAW = ("adaptive", "knowledge", "constraint", "estimation", "identification", "pulses")
+
+
+@pytest.mark.parametrize("module", LAW)
+def test_every_constant_of_the_law_is_in_its_table(module: str) -> None:
+    table = DOSING.partition("### All constants")[2].partition("<!-- noise -->")[0]
+    tree = ast.parse((REPOSITORY / "scuhand_bt" / "dosing" / f"{module}.py").read_text(encoding="utf-8"))
+    targets = [node.targets[0] for node in tree.body if isinstance(node, ast.Assign)]
+    names = {name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)}
+    constants = {name for name in names - STATE if name.isupper()}
+    assert constants
+    assert {name for name in constants if f"`{name}`" not in table} == set()
+
+
 def test_the_page_of_findings_is_of_today() -> None:
     assert (REPOSITORY / "docs" / "findings.md").read_text(encoding="utf-8") == page_of_findings(), (
         "run `python -m scuhand_bt.findings docs`"

@@ -252,7 +252,7 @@ def test_the_chance_of_too_much_is_the_mixtures_tail() -> None:
 
 def widest(bank: Bank, most_mg: float, known_gap_mm: float | None = None) -> float:
     shape = FlowShape(0.1, 2.5)
-    return widest_mm(bank, shape, 0.9 * most_mg, most_mg, 0.2, 0.06, 4.0, 2.4, FLOW, known_gap_mm or 0.5, 0.05)
+    return widest_mm(bank, shape, 0.9 * most_mg, most_mg, 0.26, 4.0, 2.4, FLOW, known_gap_mm or 0.5, 0.05)
 
 
 def resting(delay_s: float = 0.6, spread: float = 0.3, surge_mg: float = 0.1, shape: str = "two poles") -> Bank:

@@ -48,8 +48,8 @@ FLOWS = 0.2
 """Of its reference: a flow that is at least this strong is what was expected."""
 ALARM = 1.3
 """A flow that is surely so many times the expected one, near the target, shuts the valve."""
-SURPRISE, SURPRISES = 5.0, 3
-"""So many readings in a row, so many standard deviations above prediction, shut the valve."""
+SURPRISE = 5.0
+"""A reading so many standard deviations above prediction shuts the valve."""
 CAME_SHARE, CAME_MG = 0.2, 20.0
 """An opening that brought this share of what was expected, or of so much, was not in vain."""
 SLOW_SHARE = 0.5
@@ -96,7 +96,6 @@ class Adaptive:
     def __init__(self, request: DoseRequest) -> None:
         self._known = Knowledge(request)
         self._steps = self._stream() if request.streaming else pulses(self._known)
-        self._started = False
         self._start_mg = self._weighed_s = 0.0
         """What was on the pan before; when there was a stable mean last."""
         self._vibration = request.powder.vibration
@@ -115,10 +114,7 @@ class Adaptive:
 
     def decide(self, seen: Observation | None) -> Command:
         try:
-            if seen is None or not self._started:
-                self._started = True
-                return next(self._steps)
-            return self._steps.send(seen)
+            return next(self._steps) if seen is None else self._steps.send(seen)
         except StopIteration as end:
             finish: Finish = end.value
             if self._flowed_mg is None:
@@ -223,12 +219,10 @@ class Adaptive:
     def _look(self, rest_mg: float) -> Generator[Command, Observation, None]:
         """Valve shut: until the balance has shown what there is but for `rest_mg`."""
         known, begin_s = self._known, self._known.time_s
-        while True:
+        while known.time_s - begin_s <= LONGEST_LOOK_S:
             yield from known.act(0.0, 0.0)
             shut = known.valve.opening_mm == 0.0
             if shut and not known.is_rising and known.bank.unseen_mg < rest_mg + 2.0 * known.noise_mg[False]:
-                return
-            if known.time_s - begin_s > LONGEST_LOOK_S:
                 return
 
     def _open(self) -> Generator[Command, Observation, Ended]:
@@ -247,7 +241,7 @@ class Adaptive:
         stuck_seen_s, came_s, begins_mm = known.time_s + known.seen_s, math.inf, known.begins_mm(most_mg - bank.mass_mg)
         # A lump cannot be let out in part: where it is shaken for, it may come.
         shaken_mm = min(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.request.max_opening_mm)
-        surprises, opening_mm = 0, math.inf
+        opening_mm = math.inf
         if known.aim_mg <= bank.mass_mg:
             return "reached"
         while True:
@@ -259,8 +253,7 @@ class Adaptive:
             score = yield from known.act(min(opening_mm, begins_mm) if may_stick else opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
-            surprises = surprises + 1 if score > SURPRISE else 0
-            if surprises >= SURPRISES:
+            if score > SURPRISE:
                 return "surprise"
             flows = bank.coefficient - 1.5 * bank.coefficient_sd
             if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:

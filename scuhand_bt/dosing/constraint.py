@@ -57,13 +57,13 @@ class Choices(NamedTuple):
 
 @lru_cache(maxsize=64)
 def _choices(
-    shape: FlowShape, narrowest_mm: float, widest_mm: float, late_s: float, dead_time_s: float, speed_mm_per_s: float
+    shape: FlowShape, narrowest_mm: float, widest_mm: float, answered_s: float, speed_mm_per_s: float
 ) -> Choices:
     gaps_mm = np.geomspace(narrowest_mm, widest_mm, CHOICES)
     phi = gaps_mm**shape.exponent
     slope = shape.exponent * phi / gaps_mm
-    open_s = late_s + dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
-    way = powers(phi * open_s, slope * (late_s + dead_time_s) + phi / speed_mm_per_s)
+    open_s = answered_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
+    way = powers(phi * open_s, slope * answered_s + phi / speed_mm_per_s)
     return Choices(gaps_mm, phi, powers(phi, slope), way, open_s)
 
 
@@ -72,8 +72,7 @@ def widest_mm(
     shape: FlowShape,
     aim_mg: float,
     most_mg: float,
-    late_s: float,
-    dead_time_s: float,
+    answered_s: float,
     speed_mm_per_s: float,
     max_opening_mm: float,
     reference: float,
@@ -82,12 +81,12 @@ def widest_mm(
 ) -> float:
     """The widest opening [mm] that the constraint allows; the narrowest where it allows none.
 
-    `late_s` passes between a reading and the valve's answer. `reference` [mg s^-1 mm^-n] is k where nothing is in the
-    powder's way. `known_gap_mm` is the opening above the threshold that the flow was seen at: what the powder's
-    exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
+    `answered_s` passes between a reading and the valve's first move for it. `reference` [mg s^-1 mm^-n] is k where
+    nothing is in the powder's way. `known_gap_mm` is the opening above the threshold that the flow was seen at: what
+    the powder's exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
     """
     widest = max(max_opening_mm - shape.threshold_mm, 1.01 * narrowest_mm)
-    choices = _choices(shape, narrowest_mm, widest, late_s, dead_time_s, speed_mm_per_s)
+    choices = _choices(shape, narrowest_mm, widest, answered_s, speed_mm_per_s)
     mean_mg, variance = bank.coming(choices.way)
     flow, flow_variance = bank.flow(choices.flow)
     off = (EXPONENT_ERROR * np.log(choices.gaps_mm / known_gap_mm))[:, None] * flow

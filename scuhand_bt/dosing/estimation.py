@@ -148,7 +148,7 @@ class Bank:
         p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
         many = len(self.models)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
-        self._phi: Array | None = None  # (H,) of what each saw last; nothing
+        self._phi = np.zeros(many)  # of what each saw last
         self._unseen: Array | None = None  # (2, H), integrals of phi and of its slope; nothing
         self._means, self._changing = [0.0, 0.0], 0.0
         self._passed, self._shut_for = [(0.0, 0.0)], 0  # both integrals, until each reading; the last readings shut
@@ -210,17 +210,10 @@ class Bank:
             walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
             spread = p[:, K, K]
             spread[:] = np.minimum(spread + walk, np.maximum(spread, (self._most_sd * reference) ** 2))
-            self._phi = phi_s / dt_s
-        else:
-            self._phi = None
-        common = shown
-        if before is None and late is None:
-            unexplained += noise
-        else:
-            now, then = (0.0 if phi is None else phi for phi in (self._phi, before))
-            changed = (UNSTEADY_S * k * (now - then)) ** 2
-            unexplained = (noise + changed) + unexplained
-            common = shown + changed
+        self._phi = late[0] / dt_s if late is not None else np.zeros_like(k)
+        changed = (UNSTEADY_S * k * (self._phi - before)) ** 2
+        unexplained = (noise + changed) + unexplained
+        common = shown + changed
         variance = shown + unexplained
         innovation_mg = row.reading_mg - x[:, READING]
         gain = p[:, :, READING] / variance[:, None]
@@ -249,7 +242,7 @@ class Bank:
             self.delays_s, self._pure, self._damping = self.delays_s[kept], self._pure[kept], self._damping[kept]
             self._step_of = {dt_s: step.of_some(kept) for dt_s, step in self._step_of.items()}
             self._x, self._p = self._x[kept], self._p[kept]
-            self._phi = self._phi[kept] if self._phi is not None else None
+            self._phi = self._phi[kept]
             self._unseen = self._unseen[:, kept] if self._unseen is not None else None
         self.weights = weights / np.add.reduce(weights)
 

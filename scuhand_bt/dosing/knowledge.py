@@ -34,7 +34,6 @@ PEAK = 5
 """Readings that a flow's peak is taken over."""
 LEAST_MG = 2.0
 """Openings that neither brought this together nor should have teach nothing yet."""
-NOTHING_TOLD = (0.0, 0.0, 0.0)
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
@@ -105,7 +104,7 @@ class Knowledge:
         self._recent_mg: list[float] = []
         self._ratios: list[tuple[float, float, float]] = []
         """Of openings: what came [mg], the coefficient against the belief's as a logarithm, and the mean gap [mm]."""
-        self._told_of = NOTHING_TOLD
+        self._told_of = 0.0, 0.0, 0.0
         """Of openings that nothing was learnt from yet: what came [mg], the integral of phi, and how long [s]."""
         self.begin(0.0, 1.0)
 
@@ -127,7 +126,7 @@ class Knowledge:
 
     def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
         """Hold a command until the next reading; its innovation in standard deviations."""
-        before_mm = self.valve.target_mm
+        before_mm = self._known_gap_mm
         self.valve.command(self.time_s, opening_mm)
         seen = yield Stream(opening_mm, vibration)
         dt_s = seen.time_s - self.time_s
@@ -135,11 +134,7 @@ class Knowledge:
         self.time_s = seen.time_s
         shaking = vibration > 0.0
         self._learn_noise(seen.net_mg, phi_s, shaking)
-        changed = 0.0
-        if opening_mm > 0.0:
-            gap_mm = max(opening_mm - self.shape.threshold_mm, NARROWEST_MM)
-            from_mm = max(before_mm - self.shape.threshold_mm, NARROWEST_MM) if before_mm > 0.0 else self.gap_mm
-            changed = math.log(gap_mm / from_mm)
+        changed = math.log(self._known_gap_mm / before_mm) if opening_mm > 0.0 else 0.0
         row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
@@ -226,8 +221,7 @@ class Knowledge:
             self.shape,
             min(self.aim_mg, most_mg),
             most_mg,
-            self._late_s,
-            request.valve_dead_time_s,
+            self._late_s + request.valve_dead_time_s,
             request.valve_speed_mm_per_s,
             request.max_opening_mm,
             self.reference,
@@ -299,7 +293,7 @@ class Knowledge:
         self._told_of = gained_mg, phi_s, open_s
         if max(gained_mg, self.reference * phi_s) < least_mg:
             return
-        self._told_of = NOTHING_TOLD
+        self._told_of = 0.0, 0.0, 0.0
         gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
         if gained_mg > least_mg:
             self.gap_mm = gap_mm
