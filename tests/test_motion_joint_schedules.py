@@ -1,7 +1,9 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from scuhand_bt.motion.joint_schedules import Schedules, jerk_steps, positions
+from scuhand_bt.motion.joint_schedules import Schedules, ScheduleSearch, jerk_steps, positions
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import of_jerk_steps
 
@@ -54,3 +56,77 @@ def test_a_joint_goes_by_its_turning_point_where_it_has_the_time():
     times_s, steps = jerk_steps(start, some, RATES)
     q = positions(start, times_s, steps, np.linspace(0, some.durations_s[0], 4000)[None])[0]
     assert np.abs(q - some.turns[0]).min(axis=0).max() < 2e-3
+
+
+def both_legs_s(start, some):
+    return legs(some.turns[0] - start, RATES)[2] + legs(some.goals[0] - some.turns[0], RATES)[2]
+
+
+def test_a_joint_that_turns_back_does_not_come_to_rest_there():
+    start, turns, goal = np.zeros(7), np.full((1, 7), 0.5), np.full((1, 7), 0.1)
+    shares = np.full((1, 7, 5), 0.2)
+    ramp_s = RATES.acceleration / RATES.jerk
+    some = Schedules(
+        goal, both_legs_s(start, Schedules(goal, np.zeros(1), turns, shares))[:1] - ramp_s[0], turns, shares
+    )
+    times_s, steps = jerk_steps(start, some, RATES)
+    motion = of_jerk_steps(start, times_s[0], steps[0], float(some.durations_s[0]))
+    at_s = np.linspace(0, motion.duration_s, 4000)
+    assert motion.at(at_s).max(axis=0) == pytest.approx(0.5, abs=0.01)
+    assert motion.at(at_s, 2).min(axis=0) == pytest.approx(-RATES.acceleration)
+    assert motion.end == pytest.approx(goal[0], abs=1e-9)
+    assert RATES.stretch_for(motion) == pytest.approx(1, abs=1e-9)
+
+
+def test_a_joint_that_goes_on_rests_at_its_turning_point():
+    start, turns, goal = np.zeros(7), np.full((1, 7), 0.5), np.full((1, 7), 1.0)
+    shares = np.full((1, 7, 5), 0.2)
+    needed_s = both_legs_s(start, Schedules(goal, np.zeros(1), turns, shares)).max() + 1e-9
+    some = Schedules(goal, np.array([needed_s]), turns, shares)
+    times_s, steps = jerk_steps(start, some, RATES)
+    motion = of_jerk_steps(start, times_s[0], steps[0], needed_s)
+    assert motion.at(np.array([motion.duration_s / 2]), 1)[0] == pytest.approx(np.zeros(7), abs=1e-6)
+    assert RATES.stretch_for(motion) <= 1 + 1e-9
+
+
+@pytest.mark.parametrize("slow", [0.2, 0.9])
+@pytest.mark.parametrize("back", [0.02, 0.4, 2.0])
+def test_legs_that_overlap_keep_every_limit_however_slow_either_is(slow, back):
+    start, turns = np.zeros(7), np.array([[0.01, 0.05, 0.1, 0.3, 0.6, 1.2, 2.5]])
+    goal = turns - back
+    shares = np.tile([0.0, slow, 0.0, 1 - slow, 0.0], (1, 7, 1))
+    longest_s = both_legs_s(start, Schedules(goal, np.zeros(1), turns, shares)).max()
+    some = Schedules(goal, np.array([1.3 * longest_s]), turns, shares)
+    times_s, steps = jerk_steps(start, some, RATES)
+    motion = of_jerk_steps(start, times_s[0], steps[0], float(some.durations_s[0]))
+    assert motion.end == pytest.approx(goal[0], abs=1e-9)
+    assert RATES.stretch_for(motion) <= 1 + 1e-9
+
+
+def test_a_schedule_in_step_rests_where_it_turns():
+    arm_limits = np.stack([np.full(7, -3.0), np.full(7, 3.0)])
+    prover = SimpleNamespace(mount=SimpleNamespace(arm=None, limits_rad=arm_limits))
+    level = SimpleNamespace(joints=lambda c: c)  # any turning points will do
+    start, goal = np.zeros(7), np.array([0.6, -0.3, 0.5, -0.4, 0.3, 0.2, -0.6])
+    bound_s = rest_to_rest_s(goal[None] - start, RATES)
+    search = ScheduleSearch(prover, RATES, start, goal[None], bound_s, level)
+    some = search._fresh(40, 3 * float(bound_s[0]), 4 * float(bound_s[0]), np.random.default_rng(1))
+    times_s, steps = jerk_steps(start, some, RATES)
+    slowest = []
+    for k in range(20):  # of the first three fifths
+        motion = of_jerk_steps(start, times_s[k], steps[k], float(some.durations_s[k]))
+        speeds = np.abs(motion.at(np.linspace(0.1, 0.9, 400) * motion.duration_s, 1))
+        slowest.append((speeds / speeds.max(axis=0)).max(axis=1).min())
+    assert np.median(slowest) < 0.02
+
+
+def test_legs_overlap_by_the_shorter_ramp_only():
+    start, turns, goal = np.zeros(7), np.full((1, 7), 0.6), np.full((1, 7), 0.59)
+    shares = np.tile([0.25, 0.25, 0.0, 0.25, 0.25], (1, 7, 1))
+    there, back = legs(turns - start, RATES)[0][0], legs(goal - turns, RATES)[0][0]
+    needed_s = (there[:, 7] + back[:, 7] - back[:, 1]).max()
+    some = Schedules(goal, np.array([needed_s + 1e-9]), turns, shares)
+    times_s, steps = jerk_steps(start, some, RATES)
+    motion = of_jerk_steps(start, times_s[0], steps[0], needed_s + 1e-9)
+    assert motion.at(np.linspace(0, needed_s, 4000)).max(axis=0) == pytest.approx(0.6, abs=0.002)
+    assert RATES.stretch_for(motion) <= 1 + 1e-6

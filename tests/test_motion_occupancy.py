@@ -8,7 +8,7 @@ from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 
 LAB = load_lab(starter_lab())
-AT_M, HALF_M = np.array([0.18, 0.16, 0.15]), np.array([0.03, 0.06, 0.08])
+AT_M, HALF_M = np.array([0.18, 0.16, 0.2]), np.array([0.03, 0.06, 0.08])
 
 
 def box_of_points(step_m: float = 0.01) -> np.ndarray:

@@ -221,7 +221,7 @@ def test_the_example_carries_a_load_proven_by_the_audit(tmp_path):
         assert verdict.clearance_m > 0
         assert verdict.over_limit < 1e-3
         assert limit_deg is None or verdict.spill_deg <= limit_deg
-    stop = motion.stopped_from(motion.duration_s / 3)
+    stop = motion.stopped_from(motion.duration_s / 4)
     assert stop.duration_s < motion.duration_s
 
 

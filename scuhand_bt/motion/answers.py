@@ -5,8 +5,8 @@ the motion over the bare pan is taken where it is proven free there too.
 
 A load is planned for by a ladder of limits; of all their motions, and the empty cone's, each as quick as the load's own
 limit lets it be, the quickest is taken. So a load that may lean more is never slower, whatever was asked before.
-Between places the strictest limit comes first, and each begins with what is known from the one before; on the way the
-loosest, each from scratch, as what it finds is mostly as quick as the stricter ones are allowed to be.
+The loosest limit comes first, and each is searched from scratch: what is found is mostly as quick as the stricter ones
+are allowed to be, and ends the ladder.
 
 An answer is kept, in memory and on disk, unless patience has ended its search: that one depends on the machine.
 
@@ -42,7 +42,7 @@ NEAR_OPTIMUM = 1.15
 RUNGS = {10.0: 1.10, 20.0: 1.07, 30.0: 1.04, 45.0: 1.02}
 """The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
 share them. Between two of them, and below the first, their motions are slowed. And what each one's motions take at
-least on the way, over the empty cone's: so the stricter ones need no search where a looser one's is as quick."""
+least, over the empty cone's: so the stricter ones need no search where a looser one's is as quick."""
 STRICTEST_DEG = min(RUNGS)
 PLANS_KEPT = 256
 
@@ -107,20 +107,17 @@ class Answers:
     def _carried(self, way: Way, spill_limit_deg: float) -> JointTrajectory:
         """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest.
 
-        Where planning takes the arm's time, not between places, no rung's motion is quicker than its floor: one that
-        is begins later by what it is quicker.
+        No rung's motion is quicker than its floor: one that is begins later by what it is quicker.
         """
         # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
         # the last of them is within SURE of the floors of the rest, which grow with strictness: so a looser limit is
         # never slower by more.
-        rungs_deg = [rung_deg for rung_deg in RUNGS if rung_deg <= max(spill_limit_deg, STRICTEST_DEG)]
-        if not self._between_places(way):
-            rungs_deg.reverse()
+        rungs_deg = [rung_deg for rung_deg in reversed(RUNGS) if rung_deg <= max(spill_limit_deg, STRICTEST_DEG)]
         empty, mount = self._emptied(way), self._mount_of(way.geometry)
         bound_s = float(rest_to_rest_s(way.goals - way.begin, self._pace.rates).min())
         best = self._pace.timed(empty, mount, spill_limit_deg)
         for rung_deg in rungs_deg:
-            floor_s = self._floor_s(way, empty, rung_deg)
+            floor_s = self._floor_s(empty, rung_deg)
             is_sure = best is not None and best.duration_s <= SURE * max(floor_s, bound_s)
             if is_sure or way.patience.ends(best is not None):
                 break
@@ -129,9 +126,9 @@ class Answers:
                 best = begun_later(motion, floor_s - motion.duration_s)
         return self._found(best, way).keeping(spill_limit_deg)
 
-    def _floor_s(self, way: Way, empty: JointTrajectory | None, rung_deg: float) -> float:
-        """What no motion of a rung takes less than where planning takes the arm's time, else 0."""
-        quickest = None if self._between_places(way) else self._pace.quick(empty)
+    def _floor_s(self, empty: JointTrajectory | None, rung_deg: float) -> float:
+        """What no motion of a rung takes less than; 0 where there is no empty cone's to measure it by."""
+        quickest = self._pace.quick(empty)
         return 0.0 if quickest is None else RUNGS[rung_deg] * quickest.duration_s
 
     def _emptied(self, way: Way) -> StoppableTrajectory | None:
@@ -196,20 +193,18 @@ class Answers:
         return self._planned_for_load(way, spill_limit_deg)
 
     def _planned_for_load(self, way: Way, rung_deg: float) -> JointTrajectory | None:
-        """A rung's motion. On the way the simplest searches are enough where they, or others, have found one."""
+        """A rung's motion. The simplest searches are enough where they, or others, have found one."""
         empty, mount = self._emptied(way), self._mount_of(way.geometry)
-        floor_s, will_do = self._floor_s(way, empty, rung_deg), self._pace.timed(empty, mount, rung_deg) is not None
+        floor_s, will_do = self._floor_s(empty, rung_deg), self._pace.timed(empty, mount, rung_deg) is not None
         at_hand = AtHand(least_s=floor_s, enough_s=SURE * floor_s, will_do=will_do, patience=way.patience)
         if rung_deg == STRICTEST_DEG:
             return self._searched(way, rung_deg, replace(at_hand, attempts=2 * ATTEMPTS))
-        is_live = not self._between_places(way)
-        if is_live and (quick := self._searched(way, rung_deg, replace(at_hand, is_quick=True))) is not None:
+        # Not begun from a stricter rung's motion, which is level and may be so slow that improving on it stands still.
+        if (quick := self._searched(way, rung_deg, replace(at_hand, is_quick=True))) is not None:
             return quick
         stricter_deg = max(one for one in RUNGS if one < rung_deg)
         known = self._pace.timed(self._kept(way, stricter_deg), mount, rung_deg)
-        if is_live and (will_do or known is not None):
-            return known
-        return self._searched(way, rung_deg, replace(at_hand, motion=known))
+        return known if will_do or known is not None else self._searched(way, rung_deg, at_hand)
 
     def _searched(self, way: Way, spill_limit_deg: float | None, known: AtHand) -> JointTrajectory | None:
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):

@@ -7,8 +7,9 @@ evenly slower, and divides its spare time among waiting, going slower, and pausi
 
     wait | first leg | pause | second leg | wait        durations add up to T for every joint
 
-So the duration T is chosen first, and what is searched is a schedule of that duration that touches
-nothing. A leg is the sum of eight steps of jerk at the times t_i,
+A joint that turns back need not rest there: its second leg begins while the first one's braking still fades, as the two
+ramps of jerk cancel, unless it pauses. So the duration T is chosen first, and what is searched is a schedule of that
+duration that touches nothing. A leg is the sum of eight steps of jerk at the times t_i,
 
     q(t) = q0 + sum_i s_i/6 max(0, t - t_i)^3
 
@@ -29,7 +30,7 @@ import numpy as np
 from scuhand_bt.motion.coordinates import Coordinates
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.proof import Prover
-from scuhand_bt.motion.timelaw import RateLimits, joint_rest_to_rest_s, legs, rest_to_rest_s
+from scuhand_bt.motion.timelaw import RateLimits, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
 
 _PROPOSALS = 160
@@ -87,17 +88,18 @@ def jerk_steps(start: Floats, some: Schedules, limits: RateLimits) -> tuple[Floa
     total_s = some.durations_s[:, None]
     firsts, first_steps, first_s = legs(some.turns - start, limits)
     seconds, second_steps, second_s = legs(some.goals - some.turns, limits)
-    late = first_s + second_s > total_s
+    merged_s = _merged_s(firsts, first_steps, seconds, second_steps)
+    late = first_s + second_s - merged_s > total_s
     if late.any():
         joint = np.nonzero(late)[1]
         limits_of = RateLimits(limits.speed[joint], limits.acceleration[joint], limits.jerk[joint])
         firsts[late], first_steps[late], first_s[late] = legs((some.goals - start)[late], limits_of)
-        second_steps[late], second_s[late] = 0.0, 0.0
-    spare = np.maximum(total_s - first_s - second_s, 0.0)[..., None] * some.shares
+        second_steps[late], second_s[late], merged_s[late] = 0.0, 0.0, 0.0
+    spare = np.maximum(total_s - first_s - second_s + merged_s, 0.0)[..., None] * some.shares
     slow_first = 1 + spare[..., 1] / np.maximum(first_s, _LEAST_S)
     slow_second = 1 + spare[..., 3] / np.maximum(second_s, _LEAST_S)
     begin = spare[..., 0]
-    again = begin + first_s * slow_first + spare[..., 2]
+    again = begin + first_s * slow_first + spare[..., 2] - merged_s
     times_s = np.concatenate(
         [begin[..., None] + firsts * slow_first[..., None], again[..., None] + seconds * slow_second[..., None]], axis=2
     )
@@ -105,6 +107,17 @@ def jerk_steps(start: Floats, some: Schedules, limits: RateLimits) -> tuple[Floa
         [first_steps / slow_first[..., None] ** 3, second_steps / slow_second[..., None] ** 3], axis=2
     )
     return times_s, steps
+
+
+def _merged_s(firsts: Floats, first_steps: Floats, seconds: Floats, second_steps: Floats) -> Floats:
+    """By how much two legs (..., 8), times and steps of jerk, may overlap: the shorter ramp where a joint turns back.
+
+    The first leg's last ramp and the second one's first have opposite jerks then, and accelerations of one sign: these
+    are straight lines in time, so their sum is never more than the greater of them. Slowed, ramps are longer.
+    """
+    turns_back = first_steps[..., 0] * second_steps[..., 0] < 0
+    merged_s: Floats = np.where(turns_back, np.minimum(firsts[..., 1], seconds[..., 1]), 0.0)
+    return merged_s
 
 
 def positions(start: Floats, times_s: Floats, steps: Floats, at_s: Floats) -> Floats:
@@ -192,14 +205,15 @@ class ScheduleSearch:
         c += _IN_STEP_RAD * rng.normal(size=c.shape)
         c[:, -2:] = 0.0  # the last two of the level coordinates are the axis'
         turns = self._within(level.joints(c))
-        first_s = joint_rest_to_rest_s(turns - self._start, self._limits)
-        second_s = joint_rest_to_rest_s(goals - turns, self._limits)
+        firsts, first_steps, first_s = legs(turns - self._start, self._limits)
+        seconds, second_steps, second_s = legs(goals - turns, self._limits)
+        merged_s = _merged_s(firsts, first_steps, seconds, second_steps)
         earliest_s, latest_s = first_s.max(axis=1), total_s - second_s.max(axis=1)
         turned_s = earliest_s + (latest_s - earliest_s) * rng.uniform(size=count)
         slower_s = np.stack([turned_s[:, None] - first_s, (total_s - turned_s)[:, None] - second_s], axis=2)
-        spare_s = np.maximum(slower_s.sum(axis=2, keepdims=True), _LEAST_S)
+        rests_s = np.insert(np.maximum(slower_s, 0.0), 1, merged_s, axis=2)
         shares = np.full((*goals.shape, 5), _LEAST_SHARE)
-        shares[..., [1, 3]] += np.maximum(slower_s, 0.0) / spare_s
+        shares[..., 1:4] += rests_s / np.maximum(rests_s.sum(axis=2, keepdims=True), _LEAST_S)
         shares /= shares.sum(axis=2, keepdims=True)
         has_time = latest_s >= earliest_s
         all_turns, all_shares = some.turns.copy(), some.shares.copy()

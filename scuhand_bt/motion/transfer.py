@@ -75,7 +75,7 @@ class Effort:
 
 
 LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=7, near_optimum=1.66, good_enough=1.07)
-PREPARED = replace(LIVE, idle_rounds=20)
+PREPARED = replace(LIVE, schedule_rounds=20, via_rounds=40, idle_rounds=20)
 """Of loads between places, which are planned before the arm waits for them."""
 POLISHED = Effort(schedule_rounds=28, via_starts=2, via_rounds=30, idle_rounds=30, near_optimum=1.02, good_enough=1.02)
 
