@@ -1,7 +1,8 @@
 """`adaptive` where the hand takes step commands only: pulses, each weighed.
 
 A pulse is to bring the mean mass x [mg] of which z standard deviations of its surges, of mean mass m, stay within what
-remains (`within`), less for what the flow's coefficient may be off by.
+remains (`within`), less for what the flow's coefficient may be off by, and for how pulses alike differ: both are
+standard deviations of logarithms.
 """
 
 import math
@@ -12,6 +13,14 @@ from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
 
 DEVIATIONS = 2.5
 """z."""
+SCATTER = 0.3
+"""By how much pulses alike differ."""
+GROWS = 6.0
+"""Times the most that a pulse has brought that the next one is to bring, at most: to wider openings the law is
+extrapolated."""
+SHAKEN_UNSURE = 1.0
+"""What a coefficient may be off by once the powder is shaken for the first time, or harder."""
+LEAST_UNSURE = 0.15
 BARREN_SHARE = 0.2
 """A pulse that brings less than this share of what was expected brings nothing."""
 DOUBTED_PULSES, GIVEN_UP_PULSES = 8, 20
@@ -48,6 +57,8 @@ class _Sizing:
 
     def __init__(self, known: Knowledge) -> None:
         self.coefficient, self.unsure = known.reference, max(known.spread, 0.5)
+        self.brought_mg = 0.0
+        """The most that a pulse has brought."""
         self.barren = 0
         """Pulses in a row that brought nothing."""
         self._known = known
@@ -55,7 +66,11 @@ class _Sizing:
 
     def pulse(self, remaining_mg: float) -> Pulse:
         known, request = self._known, self._known.request
-        aim_mg = max(within(remaining_mg, known.bank.surge_mg) / (1.0 + 2.0 * self.unsure), 0.3)
+        spread = math.hypot(self.unsure, SCATTER)
+        aim_mg = within(remaining_mg, known.bank.surge_mg) * math.exp(-DEVIATIONS * spread)
+        if self.brought_mg > 0.0:
+            aim_mg = min(aim_mg, GROWS * self.brought_mg)
+        aim_mg = max(aim_mg, 0.3)
         opening_mm = known.shape.opening_mm(aim_mg / self.coefficient / 0.4)
         opening_mm = min(max(opening_mm, known.shape.threshold_mm + 0.1), request.max_opening_mm)
         steady = (aim_mg / self.coefficient - self._ramps(opening_mm)) / known.shape.value(opening_mm)
@@ -66,13 +81,15 @@ class _Sizing:
         expected_mg = self.coefficient * phi_s
         if gained_mg < BARREN_SHARE * expected_mg:
             self.barren += 1
+            if self._vibration < FULL:
+                self.unsure = max(self.unsure, SHAKEN_UNSURE)
             self._vibration = min(FULL, self._vibration + GENTLE)
             self.coefficient *= 0.8 if self.barren > DOUBTED_PULSES else 1.0
             return
-        self.barren = 0
-        trust = self.unsure**2 / (self.unsure**2 + 0.04 + 2.0 * self._known.bank.surge_mg / expected_mg)
+        self.barren, self.brought_mg = 0, max(self.brought_mg, gained_mg)
+        trust = self.unsure**2 / (self.unsure**2 + SCATTER**2 + 2.0 * self._known.bank.surge_mg / expected_mg)
         self.coefficient *= float((max(gained_mg, 0.1) / expected_mg) ** trust)
-        self.unsure = max(0.15, self.unsure * float((1.0 - trust) ** 0.5))
+        self.unsure = max(LEAST_UNSURE, self.unsure * float((1.0 - trust) ** 0.5))
         self._known.learn_coefficient(self.coefficient)
 
     def _ramps(self, opening_mm: float) -> float:
