@@ -102,7 +102,7 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
 
 
 def verbs_of(kind: type) -> set[str]:
-    public = {name for name, value in vars(kind).items() if callable(value) and not name.startswith("_")}
+    public = {name for name in dir(kind) if callable(getattr(kind, name)) and not name.startswith("_")}
     return public - {field.name for field in fields(kind)}
 
 
