@@ -59,9 +59,15 @@ class Lab:
         SourceError where the URDF or the geometry is not this arm's.
         """
         from scuhand_bt.motion import MotionPlanner
+        from scuhand_bt.motion.arm_model import MismatchedCellError
 
         try:
             return MotionPlanner(self.urdf, self.cell, mortars, plans)
+        except MismatchedCellError as error:
+            problems = Problems()
+            where = _mark_of(self.folder, "arm", error.key)
+            problems.add(where, str(error), unknown=error.unknown, known=error.known, code="bad-value")
+            raise SourceError(problems.found) from None
         except ValueError as error:
             raise SourceError([Problem(Mark(str(self._urdf_path)), str(error))]) from None
 

@@ -8,6 +8,7 @@ from conftest import Call, LabFolder
 
 from harness.own_workflow import TREE, write_own
 from scuhand_bt.lab import read_lab
+from scuhand_bt.problems import Problem
 from scuhand_bt.run.checking import check
 
 ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
@@ -27,9 +28,18 @@ def stands(lab: LabFolder, what: str) -> None:
     lab.write("robot/cell.yaml", cell.read_text(encoding="utf-8") + what)
 
 
+def found(lab: LabFolder, code: str) -> list[Problem]:
+    problems = check(read_lab(lab.folder), lab.folder / "recipes" / "one.yaml").problems
+    return [problem for problem in problems if problem.code == code]
+
+
 def blocked(lab: LabFolder) -> list[str]:
-    found = check(read_lab(lab.folder), lab.folder / "recipes" / "one.yaml").problems
-    return [problem.message for problem in found if problem.code == "no-path"]
+    return [problem.message for problem in found(lab, "no-path")]
+
+
+def line_with(lab: LabFolder, text: str) -> int:
+    lines = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8").splitlines()
+    return next(number for number, line in enumerate(lines, 1) if text in line)
 
 
 def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks_for_one(lab: LabFolder) -> None:
@@ -43,9 +53,29 @@ def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks
 
 def test_a_mortar_over_which_the_arm_can_stand_but_in_which_it_can_make_no_stroke_is_found(lab: LabFolder) -> None:
     stands(lab, LID)
-    (message,) = blocked(lab)
-    assert message.startswith("at 'mortar_bay' no stroke is possible in any direction")
-    assert "lid" in message
+    (problem,) = found(lab, "no-path")
+    assert problem.message.startswith("at 'mortar_bay' no stroke is possible in any direction")
+    assert "lid" in problem.message
+    assert problem.mark.file.endswith("cell.yaml")
+    assert problem.mark.line == line_with(lab, "mortar_bay: ")
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("may_touch: [[fore, wastebin]]", "which is not there; known: .* did you mean 'waste_bin'"),
+        ("windows: {j8: [-60 deg, 60 deg]}", "the URDF has no joint 'j8'; known: j1, j2"),
+        ("windows: {j1: [60 deg, -60 deg]}", "that leaves joint 'j1' no window"),
+    ],
+)
+def test_what_the_cell_says_of_its_arm_and_the_urdf_does_not_have_is_located_in_the_cells_file(
+    lab: LabFolder, said: str, told: str
+) -> None:
+    lab.replace("robot/cell.yaml", "urdf: crane_x7_scuhand_sv.urdf}", f"urdf: crane_x7_scuhand_sv.urdf, {said}}}")
+    (problem,) = found(lab, "bad-value")
+    assert re.search(told, problem.message)
+    assert problem.mark.file.endswith("cell.yaml")
+    assert problem.mark.line == line_with(lab, said)
 
 
 def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and_stand_at_every_other_place(
@@ -55,9 +85,9 @@ def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and
     here = "mortar_bay:   {kind: mortar,  position: [200 mm,  240 mm, 0 mm]"
     lab.replace("robot/cell.yaml", here, here.replace("200 mm,  240 mm, 0 mm", "340 mm, -400 mm, 120 mm"))
     (message,) = blocked(lab)
-    found = re.search(r"With 'mortar_bay' at \[(.*)\] it can scoop there, and carry what it has scooped", message)
-    assert found is not None, message
-    lab.replace("robot/cell.yaml", "340 mm, -400 mm, 120 mm", found[1])
+    proposed = re.search(r"With 'mortar_bay' at \[(.*)\] it can scoop there, and carry what it has scooped", message)
+    assert proposed is not None, message
+    lab.replace("robot/cell.yaml", "340 mm, -400 mm, 120 mm", proposed[1])
     assert blocked(lab) == []
 
 
@@ -73,8 +103,7 @@ def test_a_fresh_sheets_cone_that_is_wider_than_the_usual_one_must_come_everywhe
 def test_a_hand_so_heavy_that_a_servo_gets_hot_is_warned_of_each_time(lab: LabFolder) -> None:
     lab.replace("robot/cell.yaml", "hand: {driver: hand_controller,", "hand: {driver: hand_controller, mass: 480 g,")
     for _ in range(2):
-        found = check(read_lab(lab.folder), lab.folder / "recipes" / "one.yaml").problems
-        (strained,) = [problem for problem in found if problem.code == "strained"]
+        (strained,) = found(lab, "strained")
         assert strained.is_warning
         assert "holds" in strained.message
         assert "N m" in strained.message

@@ -28,6 +28,15 @@ SHEET_M = 0.002
 """Sheet and play, added to the cone's radius."""
 
 
+class MismatchedCellError(ValueError):
+    """What a cell says of its arm, under `key` of `arm:`, is not so by the URDF."""
+
+    def __init__(self, key: str, what: str, unknown: str = "", known: Iterable[str] = ()) -> None:
+        super().__init__(what)
+        self.key, self.unknown, self.known = key, unknown, tuple(known)
+        """A name that there is not, and those that there are."""
+
+
 class Arm:
     """The arm and hand of a URDF, checked: joints, limits, shapes, and its closed form.
 
@@ -95,10 +104,11 @@ class Arm:
         own = {name for thing in self.shapes.geometryObjects for name in _called(thing.name)} | {CONE, "clamp"}
         for pair in self.may_touch:
             if len(pair) == 1 or not pair & own:
-                raise ValueError(f"'may_touch' pairs something of the arm with something else, not {_listed(pair)}")
-            if unknown := pair - own - set(obstacles):
-                known = _listed([*own, *obstacles])
-                raise ValueError(f"'may_touch' names {_listed(unknown)}, which is not there; there are {known}")
+                what = f"'may_touch' pairs something of the arm with something else, not {_listed(pair)}"
+                raise MismatchedCellError("may_touch", what)
+            for unknown in sorted(pair - own - set(obstacles)):
+                what = f"'may_touch' names '{unknown}', which is not there"
+                raise MismatchedCellError("may_touch", what, unknown, [*own, *obstacles])
 
     def is_looked_at(self, first: str, second: str) -> bool:
         """Whether two shapes by these names must not touch."""
@@ -175,9 +185,11 @@ def _windows_rad(model: pin.Model, spec: ArmSpec) -> Floats:
     names = list(model.names)[1:]
     for name, (low_deg, high_deg) in spec.windows_deg.items():
         if name not in names:
-            raise ValueError(f"the URDF has no joint '{name}', whose window the cell tells; it has {', '.join(names)}")
+            raise MismatchedCellError("windows", f"the URDF has no joint '{name}'", name, names)
         joint = names.index(name)
         low[joint], high[joint] = max(low[joint], math.radians(low_deg)), min(high[joint], math.radians(high_deg))
+        if not low[joint] < high[joint]:
+            raise MismatchedCellError("windows", f"that leaves joint '{name}' no window")
     if not (low < high).all():
         raise ValueError(f"the limits of joint {int(np.argmin(low < high)) + 1} leave it no window")
     if spec.kinematics == "decomposed":

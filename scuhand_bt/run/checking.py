@@ -212,11 +212,15 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
         _warn_of_strain(strained, lab, problems)
         return
     from scuhand_bt.run.prepared_motion import prepared_motion
+    from scuhand_bt.run.ways import MortarStandsBadly
 
     try:
         strained = _strained(prepared_motion(plan, lab, for_real=True))
     except SourceError as error:
         problems.found += error.problems
+    except MortarStandsBadly as failure:
+        mark = cell_mark(lab, "stations", failure.station, "position")
+        problems.found.append(Problem(mark, failure.detail, "no-path"))
     except SkillFailed as failure:
         blocked = list(_blocked(plan, lab)) or [Problem(cell_mark(lab), failure.detail, "no-path")]
         problems.found += blocked

@@ -38,10 +38,18 @@ OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 BESIDE_MM = 10.0
 
 
+class MortarStandsBadly(SkillFailed):
+    """A mortar, at this `station`, cannot be scooped from, stood over, or carried from."""
+
+    def __init__(self, code: str, detail: str, station: str) -> None:
+        super().__init__(code, detail)
+        self.station = station
+
+
 def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind]) -> None:
     """Plan all of them; SkillFailed arm.* for one that there is not.
 
-    Where it is a mortar that stands badly, it says where it might stand: what is proposed has all the ways.
+    MortarStandsBadly says where that mortar might stand instead: what is proposed has all the ways.
     """
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
     try:
@@ -52,7 +60,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
             raise
         others = [badly[0], *(demand for demand in scooped if demand not in badly)]
         where = _elsewhere(motion, plan, cell, kinds, others)
-        raise SkillFailed(failure.code, f"{failure.detail}. {where}") from None
+        raise MortarStandsBadly(failure.code, f"{failure.detail}. {where}", badly[0].source.station) from None
 
 
 def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> list[tuple[str, str, float]]:
