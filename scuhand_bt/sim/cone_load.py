@@ -77,6 +77,7 @@ class ConeLoad:
         self._was_open = False
         self._carried = Carried()
         self._rim_mm = hand.cone_diameter_mm  # as it was looked at last
+        self._is_pouring = True  # for all that is known, and so in a world that is taken up
         self._shaken_s = 0.0
         self._flow_rng: Generator
         self._scoop_rng: Generator
@@ -139,6 +140,8 @@ class ConeLoad:
             self._move(end_s, dt_s)
         else:
             self._carried.rest()
+            if self._is_pouring:
+                self._move(end_s, dt_s)
         return self._land(end_s) if self._flying else 0.0
 
     def drop(self, now_s: float, mass_mg: float) -> None:
@@ -185,13 +188,16 @@ class ConeLoad:
         if self._mortars.go(pose, self.source) and was_inside is not None:
             self._lift(was_inside, end_s)
         in_cone_mg = self._masses_mg[CONE]
+        self._is_pouring = False
         if in_cone_mg <= 0.0 or self.source is None:
             self._carried.rest()
             return
         lean = self._carried.lean(end_s, pose)
         if self._mortars.inside is None:
             powder = self._sources[self.source].powder
-            self._pour(end_s, poured_mg(in_cone_mg, lean, pose, powder, dt_s), pose)
+            mass_mg = poured_mg(in_cone_mg, lean, pose, powder, dt_s)
+            self._is_pouring = mass_mg > 0.0
+            self._pour(end_s, mass_mg, pose)
 
     def _lift(self, source: str, now_s: float) -> None:
         """The cone has come out of a mortar."""
