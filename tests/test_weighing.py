@@ -375,6 +375,18 @@ def test_a_quick_balance_is_weighed_once() -> None:
     assert shown.drive(weigh_changed(shown.cell, 0.0)).value_mg == 25_000.0
 
 
+@pytest.mark.parametrize(("stable", "times"), [(5, 1), (4, 2)])
+def test_a_balance_is_as_quick_as_it_called_itself_stable_however_late_the_arm_let_it_be_weighed(
+    stable: int, times: int
+) -> None:
+    shown = Shown(25_000.0, takes_s=12.0)
+    for n in range(20):
+        is_stable = n < stable or n == 12
+        shown.cell.readings.append(Reading(25_000.0, is_stable, 4.0 + n * PERIOD_S, "mg", b"25000.0 mg"))
+    shown.drive(weigh_changed(shown.cell, 0.0))
+    assert len(shown.times_s) == times
+
+
 def test_what_never_comes_to_rest_is_weighed_for_as_long_again_at_most() -> None:
     shown = Shown(by_time=lambda now_s: 25_000.0 + now_s, takes_s=10.0)
     shown.drive(weigh_changed(shown.cell, 0.0))

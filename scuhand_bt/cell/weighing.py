@@ -133,6 +133,8 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     shown_s = cell.clock.now_s
     mean = yield from cell.right_of_way.stable_mean()
     took_s = mean.time_s - shown_s
+    if took_s > QUICK_S:
+        took_s = min(took_s, _stable_s(cell, shown_s) - shown_s)
     while took_s > QUICK_S and mean.time_s - shown_s < 2.0 * took_s:
         last = weighing_of(mean)
         yield from pause(cell.clock, CREEPS * took_s)
@@ -141,6 +143,16 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
         if abs(now.gross_mg - last.gross_mg) <= 2.0 * apart_mg(last, now, cell.spec.balance.readability_mg):
             break
     return mean
+
+
+def _stable_s(cell: Cell, since_s: float) -> float:
+    """When the balance had called a pan stable for as long as a weighing takes, whenever the arm let it be weighed."""
+    stable = 0
+    for reading in cell.readings.copy():
+        stable = stable + 1 if reading.stable and reading.time_s > since_s else 0
+        if stable == WATCHED:
+            return reading.time_s
+    return math.inf
 
 
 def changed(cell: Cell, changing: Steps[None], shown: StableMean) -> Steps[tuple[StableMean, Step | None]]:
