@@ -70,8 +70,8 @@ samples: [{id: a, mass: 300 mg}]
 MORTARS = (("mortar_bay", "agate_mortar", "20 g"), ("mortar_bay_2", "small_agate_mortar", "8 g"))
 """Batches take turns with them."""
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
-SCOOPING_S = {"agate_mortar": 5.2, "small_agate_mortar": 7.4}
-"""So long arm or roller are seen to move in a scoop: a run is killed within it, and so does not get through."""
+SCOOPING_S = {"agate_mortar": 4.3, "small_agate_mortar": 7.0}
+"""So long, at least, arm or roller are seen to move in a scoop: a run is killed within it, and does not get through."""
 LOOK_S = 0.005
 MOVED = 1e-3
 """From tick to tick: a joint [rad], or the rim [mm], that has moved."""
@@ -95,6 +95,8 @@ class Seen:
     dosed_mg: dict[str, float] = field(default_factory=dict)
     track: list[list[float]] = field(default_factory=list)
     """The time [s], and the shafts of arm and roller, from the flat sheet [rad], when the roller had turned."""
+    stands_rad: list[float] = field(default_factory=list)
+    """The arm's joints, when it was last asked for."""
 
 
 @dataclass
@@ -106,7 +108,7 @@ class Tally(Seen):
     """The rim at each kill."""
     batches: int = 0
     ended_safe: list[str] = field(default_factory=list)
-    """Why runs ended safe by themselves, which were resumed then."""
+    """Why runs ended safe by themselves, which were resumed then, and how the arm stood."""
     doses_ended: int = 0
     """Of the samples, so many came to their dose once nobody killed any more."""
     problems: list[str] = field(default_factory=list)
@@ -188,6 +190,8 @@ def keep_twins(folder: Path, joints: Any, seed: int) -> None:
                     world.remove()
                 elif what == "believes":
                     seen.worst_belief_mm = max(seen.worst_belief_mm, abs(said - rim_mm()))
+                elif what == "stands":
+                    seen.stands_rad = [round(angle, 5) for angle in bench.arm.joints.tolist()]
                 elif what == "track":
                     seen.track = list(track)
                 elif what == "end":
@@ -332,7 +336,9 @@ def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
                 break
             elif code not in (0, 1):
                 ends = [read_history(path).ended for path in journals(runs)]
-                tally.ended_safe.append("".join(end.reason for end in ends if end) or "it did not begin")
+                reason = "".join(end.reason for end in ends if end) or "it did not begin"
+                rim_mm, seen = twins.ask("stands")
+                tally.ended_safe.append(f"seed {seed}: {reason}; joints {seen.stands_rad}, rim {rim_mm:.2f} mm")
                 tries -= 1
                 time.sleep(DEAD_MEN_S)
         _judge(plan, lab, seed, twins.ask("seen")[1], tally)

@@ -6,6 +6,7 @@ import numpy as np
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.motion import ApexPose
+from scuhand_bt.motion.pouring import about_lip
 from scuhand_bt.skill import Cell, Code, Discarded, Returned, SkillFailed, Source, Steps, pause
 
 from ._opening import open_to_let_out
@@ -87,9 +88,11 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     yield from cell.right_of_way.go()
     yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
     held_mg = believed.cone_mg
-    believed.cone_holds(source, source.powder.load_limit_mg)
+    most_mg = min(source.powder.load_limit_mg, held_mg + believed.sources_mg[source.name])
+    believed.source_holds(source.name, held_mg + believed.sources_mg[source.name] - most_mg)
+    believed.cone_holds(source, most_mg)  # known to be loaded, and no powder made, where this is halted, too
     yield from empty_cone(cell)
-    believed.returned(source.name, held_mg)
+    believed.returned(source.name, most_mg)
     cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
 
@@ -175,16 +178,10 @@ def _pouring(cell: Cell, station: str, height_mm: float, turn_deg: float) -> lis
     x_mm, y_mm, z_mm = cell.spec.stations[station].position_mm
     toward_rad = math.atan2(y_mm, x_mm) + math.radians(turn_deg)
     out = np.array([math.cos(toward_rad), math.sin(toward_rad), 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-    lip_mm = np.array([x_mm, y_mm, z_mm + height_mm + POURED_FROM_MM])
+    lip_m = np.array([x_mm, y_mm, z_mm + height_mm + POURED_FROM_MM]) / 1000
     slant_mm = cell.spec.hand.sheet_radius_mm
     half_rad = math.asin(cell.hand.cone_diameter_mm / 2.0 / slant_mm)
-    poses = []
-    for tilt_rad in map(math.radians, POURING_DEG):
-        generator = math.sin(tilt_rad + half_rad) * out + math.cos(tilt_rad + half_rad) * up
-        axis = math.sin(tilt_rad) * out + math.cos(tilt_rad) * up
-        poses.append(ApexPose((lip_mm - slant_mm * generator) / 1000, axis))
-    return poses
+    return about_lip(lip_m, out, [math.radians(deg) for deg in POURING_DEG], slant_mm / 1000, half_rad)
 
 
 def put_away(cell: Cell) -> Steps[None]:

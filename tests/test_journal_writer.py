@@ -18,7 +18,7 @@ from dose_bench import DISH, MORTAR, shipped_powders
 from pydantic import BaseModel, Field
 
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Dose, Note, Pulsed, SheetSwapped
+from scuhand_bt.events import Discarded, Dose, Note, Pulsed, Returned, SheetSwapped
 from scuhand_bt.journal import store, writer
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted, Trouble
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify
@@ -256,6 +256,21 @@ def test_the_cells_state_is_written_with_an_actions_begin_and_end_where_it_chang
     journal.action_started(begun("park", "w/2"))
     states = [None if text is None else json.loads(text) for (text,) in rows(path, "state")]
     assert states == [{"cone_mg": 0.0}, None, {"cone_mg": 3000.0}, None, None, {"cone_mg": 0.0}]
+
+
+@pytest.mark.parametrize(
+    "emptied", [Returned(source="a", expected_mg=1.0), Discarded(source="a", expected_mg=1.0, to="w")]
+)
+def test_a_cone_that_was_emptied_in_mid_action_is_known_to_be_empty(
+    journal: Journal, path: Path, emptied: Returned | Discarded
+) -> None:
+    """It may tip from then on: a run that was killed as it did could not be resumed, as no load is carried so."""
+    state = {"cone_mg": 3000.0}
+    journal.state = lambda: dict(state)
+    journal.action_started(begun("scoop"))
+    state["cone_mg"] = 0.0
+    journal.event(emptied)
+    assert json.loads(rows(path, "state")[-1][0]) == {"cone_mg": 0.0}
 
 
 def test_the_world_is_kept_before_an_entry_and_listeners_are_told_after_it(journal: Journal, path: Path) -> None:

@@ -6,6 +6,7 @@ Skills act only through this object.
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -27,11 +28,13 @@ from scuhand_bt.events import ArmFreed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
+from scuhand_bt.motion.pouring import tilt_rad, turned_back
 from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
 
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
+RIGHTED_MM_PER_S, RIGHTED_STEP_RAD = 100.0, math.radians(20.0)
 LOAD_STEP_MM3 = 2000.0
 LIMIT_STEP_DEG = 0.1
 RECENT = 4000
@@ -135,9 +138,11 @@ class Cell:
     def move_to(self, place: str | ApexPose) -> Steps[None]:
         """Move to a named place or a pose; a loaded cone is carried within its spill angle (`motion/spill.py`).
 
-        What does not go around the zones that others have waits for these. SkillFailed arm.no_path, arm.unreachable,
-        arm.start_in_collision, arm.joint_limit, arm.zone_taken.
+        One that leans more, as where its pouring was halted, is turned upright first. What does not go around the zones
+        that others have waits for these. SkillFailed arm.no_path, arm.unreachable, arm.start_in_collision,
+        arm.joint_limit, arm.zone_taken.
         """
+        yield from self._righted()
         while True:
             trajectory = yield from self._planned(
                 lambda planner: planner.move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
@@ -287,6 +292,25 @@ class Cell:
         out, what = self._planner().way_out(self.arm.positions, self._spill_limit_deg())
         self.record.event(ArmFreed(what=what, duration_s=round(out.duration_s, 3)))
         yield from self._follow(out)
+
+    def _righted(self) -> Steps[None]:
+        """Turn a cone upright on the spot that leans more than its load is carried with: whatever slides has slid.
+
+        About its lip, so that what still falls does where it was poured, or else about its apex; where the arm can do
+        neither, nothing moves.
+        """
+        limit_deg, now = self._spill_limit_deg(), self.apex()
+        if limit_deg is None or math.degrees(tilt_rad(now)) <= limit_deg:
+            return
+        slant_mm = self.spec.hand.sheet_radius_mm
+        half_rad = math.radians(Cone(self.hand.cone_diameter_mm, slant_mm).half_angle_deg)
+        for way in (turned_back(now, RIGHTED_STEP_RAD, slant_mm / 1000, half_rad), [ApexPose(now.position_m)]):
+            with suppress(SkillFailed):
+                turning = self.contact(way, RIGHTED_MM_PER_S, None)
+                break
+        else:
+            return
+        yield from self._follow(turning)
 
     def zones_entered(self) -> frozenset[str]:
         """The zones of the cell that the arm is in."""

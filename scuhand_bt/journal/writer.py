@@ -26,11 +26,13 @@ from scuhand_bt.events import (
     BracketClosed,
     ContainerLifted,
     CurveRow,
+    Discarded,
     DoseBegun,
     DoseCurve,
     DoseWeighed,
     Event,
     Note,
+    Returned,
 )
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest
@@ -39,8 +41,9 @@ from scuhand_bt.journal.results import SoFar
 from scuhand_bt.journal.store import Row, Store
 from scuhand_bt.record import RecordLost
 
-POINTS_OF_NO_RETURN = (DoseBegun, DoseWeighed, ContainerLifted, BracketClosed)
-"""What is weighed before powder falls or a container goes: what is believed then is written with it, in mid-action."""
+POINTS_OF_NO_RETURN = (DoseBegun, DoseWeighed, ContainerLifted, BracketClosed, Returned, Discarded)
+"""What is weighed before powder falls or a container goes, and that the cone was emptied, as it may tip from then on:
+what is believed is written with it, in mid-action."""
 FLUSH_S = 0.5
 """Readings of the balance, and the course of a dose, wait this long in memory, by the wall's time, before they are
 written down."""
