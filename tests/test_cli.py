@@ -16,6 +16,7 @@ from conftest import REPOSITORY, Call, LabFolder
 
 import scuhand_bt
 from scuhand_bt import __main__ as entry_point
+from scuhand_bt.lab import starter_lab
 from scuhand_bt.sim.wire.hand import NoCompiler, build_brain
 
 SMALL = """\
@@ -195,8 +196,9 @@ def test_an_unknown_name_is_code_2_with_the_known_ones(command: Call, listing: s
 def test_init_makes_a_lab_that_checks_and_never_overwrites(command: Call, tmp_path: Path) -> None:
     made = command("init", tmp_path / "my-lab")
     assert made.returncode == 0
-    for path in (tmp_path / "my-lab" / "recipes").glob("*.yaml"):
-        assert command("check", path).returncode == 0
+    for path in (starter_lab() / "recipes").iterdir():
+        assert (tmp_path / "my-lab" / "recipes" / path.name).read_bytes() == path.read_bytes()
+    assert command("check", tmp_path / "my-lab" / "recipes" / "synthesis_batch.yaml").returncode == 0
     again = command("init", tmp_path / "my-lab")
     assert again.returncode == 2
     assert "is not empty" in again.stderr.replace("\n", " ")
