@@ -14,6 +14,7 @@ import types
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,12 @@ from scuhand_bt.skill_files.facts import SkillFacts, facts_of, parsed, raised_co
 from scuhand_bt.skill_files.source_check import check_shared, check_source
 
 PACKAGE = "scuhand_lab"
+_Text = tuple[str, bytes | None, frozenset[tuple[str, bytes | None]], frozenset[str]]
+"""A skill's name, its file and those that skills share as hashes, and the devices of the cell."""
+SOUND_KEPT = 256
+_SOUND: dict[_Text, SkillFacts] = {}
+"""Skills in which nothing was found: looking takes longer than all else of loading a lab, and programs load labs again
+and again."""
 
 
 @dataclass
@@ -41,26 +48,81 @@ def load_skills(
 
     `devices` are those of the lab's cell, by the names that skills lease them under.
     """
-    _mount(folder, _files_read(folder))
-    loaded = LoadedSkills()
-    shared = {code for path in paths if path.stem.startswith("_") for code in _codes_in(path)}
+    files = _files_read(folder)
+    _mount(folder, files)
+    loaded, shared = LoadedSkills(), _Shared([path for path in paths if path.stem.startswith("_")])
+    of_shared = frozenset((path.name, files.get(path)) for path in shared.paths)
     for path in (path for path in paths if not path.stem.startswith("_")):
+        text = path.stem, files.get(path), of_shared, frozenset(devices)
         of_file = Problems()
-        skill = _load(path, of_file)
-        if skill is not None:
-            _check_class(skill, Mark(str(path), inspect.findsource(skill)[1] + 1), devices, of_file)
-        if skill is not None and not of_file.errors:
-            tree = parsed(path)
-            of_file.found += check_source(skill, tree, sys.modules[f"{PACKAGE}.skills.{path.stem}"], str(path)).found
-            _check_codes(skill, raised_codes(tree, str(path)), of_file)
-            of_file.found += [problem for name in _shared_by(tree) for problem in _shared_problems(folder, name)]
-            loaded.facts[path.stem] = facts_of(skill, tree, shared)
+        skill, facts = _load(path, of_file), _SOUND.get(text)
+        if skill is not None and facts is None:
+            facts = _looked_through(skill, folder, path, devices, shared, of_file)
+            if facts is not None and not of_file.found and shared.stands_alone and _stands_alone(parsed(path)):
+                _keep_sound(text, facts)
+        if facts is not None:
+            loaded.facts[path.stem] = facts
         problems.found += of_file.found
         if of_file.errors or skill is None:
             broken.add("skill", path.stem, of_file.errors)
         else:
             loaded.skills[path.stem] = skill
     return loaded
+
+
+class _Shared:
+    """The files that a lab's skills share, read when they are asked for."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self.paths = paths
+
+    @cached_property
+    def codes(self) -> set[str]:
+        """What they raise."""
+        return {code for tree in self._trees for code in raised_codes(tree, "")}
+
+    @cached_property
+    def stands_alone(self) -> bool:
+        return all(map(_stands_alone, self._trees))
+
+    @cached_property
+    def _trees(self) -> list[ast.Module]:
+        found = []
+        for path in self.paths:
+            with suppress(SyntaxError, ValueError, OSError):  # said of each skill that imports it
+                found.append(parsed(path))
+        return found
+
+
+def _looked_through(
+    skill: type[Skill[Any]],
+    folder: Path,
+    path: Path,
+    devices: Collection[str],
+    shared: _Shared,
+    problems: Problems,
+) -> SkillFacts | None:
+    """What a skill's file says of it; None where its class is wrong, and the text is not looked at."""
+    _check_class(skill, Mark(str(path), inspect.findsource(skill)[1] + 1), devices, problems)
+    if problems.errors:
+        return None
+    tree = parsed(path)
+    problems.found += check_source(skill, tree, sys.modules[f"{PACKAGE}.skills.{path.stem}"], str(path)).found
+    _check_codes(skill, raised_codes(tree, str(path)), problems)
+    problems.found += [problem for name in _shared_by(tree) for problem in _shared_problems(folder, name)]
+    return facts_of(skill, tree, shared.codes)
+
+
+def _stands_alone(tree: ast.Module) -> bool:
+    """Whether a file has nothing of its lab but what is shared."""
+    relative = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level]
+    return all(node.level == 1 and (node.module or "").startswith("_") for node in relative)
+
+
+def _keep_sound(text: _Text, facts: SkillFacts) -> None:
+    _SOUND[text] = facts
+    while len(_SOUND) > SOUND_KEPT:
+        del _SOUND[next(iter(_SOUND))]
 
 
 def _shared_by(tree: ast.Module) -> Iterator[str]:
@@ -75,13 +137,6 @@ def _shared_problems(folder: Path, name: str) -> list[Problem]:
     if module is None or not name.startswith("_") or not path.is_file():
         return []
     return check_shared(parsed(path), module, str(path)).found
-
-
-def _codes_in(path: Path) -> Iterator[str]:
-    try:
-        yield from raised_codes(parsed(path), "")
-    except (SyntaxError, ValueError, OSError):  # said of each skill that imports it
-        return
 
 
 def _load(path: Path, problems: Problems) -> type[Skill[Any]] | None:
