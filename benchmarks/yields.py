@@ -1,6 +1,6 @@
 """Worlds whose scoops bring less, or more, than the bed's geometry lifts: how well is the cone's content believed?
 
-    python -m benchmarks.yields [--seeds 2] [--heel 0.2] [--json FILE]
+    python -m benchmarks.yields [--seeds 2] [--first 0] [--heel 0.2] [--json FILE]
 
 A dry run of eight doses for each share, powder, mortar and seed. Each time a scoop has ended, and each time a dose has,
 believed and true content of the cone are compared: off, as a share of what the scoop truly brought. The figures are of
@@ -186,6 +186,7 @@ def row_of(runs: list[dict[str, Any]], took_s: float) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--heel", type=float)
     parser.add_argument("--only", default="", help="cases whose names have this in them, beside those the file has")
     parser.add_argument("--json", type=Path, default=RESULTS)
@@ -198,7 +199,7 @@ def main() -> None:
         if given.only not in name:
             continue
         runs, began_s = [], time.monotonic()
-        for seed in range(given.seeds):
+        for seed in range(given.first, given.first + given.seeds):
             found, motions[mortar] = one(lab, plant, powder, mortar, seed, motions.get(mortar))
             runs.append(found)
         table[name] = row_of(runs, time.monotonic() - began_s)

@@ -38,7 +38,7 @@ SHARES = (0.5, 1.0, 2.0)
 DOUBT = 0.2
 """Of the load limit: a load that gives out is short where so much more is believed to be in it (as in `dispense`)."""
 CLINGS_MG = 5.0
-TRIES = 8
+TRIES = 24
 
 
 class Lot:

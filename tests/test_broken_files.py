@@ -49,8 +49,8 @@ def test_a_file_that_nothing_uses_is_told_of_and_stops_nothing(
     [
         (
             "trees/fill.yaml",
-            "retry:\n    attempts: 8",
-            "retry:\n    x: 1\n    attempts: 8",
+            "retry:\n    attempts: 24",
+            "retry:\n    x: 1\n    attempts: 24",
             "trees/fill.yaml:13:5: unknown key 'x'",
         ),
         ("skills/tare.py", "class Tare", "clas Tare", "skills/tare.py:10:6: the skill cannot be loaded: SyntaxError"),

@@ -92,7 +92,7 @@ def test_a_urdf_without_one_of_its_shapes_is_said_in_one_line(lab_folder: LabFol
 def test_problems_of_all_files_are_said_at_once(lab_folder: LabFolder) -> None:
     lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: many")
     lab_folder.replace("robot/powders.yaml", "gain: 0.33", "gain: 3")
-    lab_folder.replace("trees/fill.yaml", "attempts: 8", "atempts: 8")
+    lab_folder.replace("trees/fill.yaml", "attempts: 24", "atempts: 8")
     lab_folder.write("skills/broken.py", "def (:\n")
     files = [problem.split(":")[0] for problem in lab_folder.problems()]
     assert files == ["robot/cell.yaml", "robot/powders.yaml", "skills/broken.py", "trees/fill.yaml", "trees/fill.yaml"]
@@ -106,7 +106,7 @@ def test_wrong_grammar_hides_no_wrong_wire_of_the_same_file(lab_folder: LabFolde
         "trees/fill_xrd_holder.yaml:8:7",
         "trees/fill_xrd_holder.yaml:11:19",  # and nothing of $nothing, which could be what was not read
     ]
-    lab_folder.replace("trees/fill.yaml", "attempts: 8", "attemps: 8")
+    lab_folder.replace("trees/fill.yaml", "attempts: 24", "attemps: 8")
     said = [problem.split(": ", 1)[0] for problem in lab_folder.problems()]
     assert "trees/fill_xrd_holder.yaml:11:19" in said, "what is wrong here is so whatever is wrong with `fill`"
 

@@ -42,7 +42,7 @@ def test_a_workflow_put_together_at_random_is_a_clean_error_or_a_correct_run(jud
         ("robot/powders.yaml", "packing_variation: 3 %", "packing_variation: 1e9 %"),
         ("robot/powders.yaml", "spread: 15 %", "spread: 15 %, exponent: 1000"),
         ("robot/powders.yaml", "residue: 2 mg", "surge_exponent: 1000"),
-        ("trees/fill.yaml", "attempts: 8", "attempts: " + "9" * 400),
+        ("trees/fill.yaml", "attempts: 24", "attempts: " + "9" * 400),
         ("trees/fill_xrd_holder.yaml", "- park:", "- repeat: {times: " + "9" * 400 + ", child: {park: }}"),
     ],
 )

@@ -274,7 +274,7 @@ def test_a_changed_recipe_or_lab_is_refused_and_may_be_accepted(run: Run) -> Non
     run.go(Watch("stop_now", 60))
     run.recipe.write_text(run.recipe.read_text().replace("80 mg", "90 mg"), encoding="utf-8")
     (run.lab_folder / "trees" / "fill.yaml").write_text(
-        (run.lab_folder / "trees" / "fill.yaml").read_text().replace("attempts: 8", "attempts: 9"), encoding="utf-8"
+        (run.lab_folder / "trees" / "fill.yaml").read_text().replace("attempts: 24", "attempts: 9"), encoding="utf-8"
     )
     with pytest.raises(SourceError) as refused:
         run.go(Watch(), resumes=True)

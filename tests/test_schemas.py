@@ -83,7 +83,7 @@ def test_the_schema_that_is_checked_in_is_of_today(starter: Lab, kind: str) -> N
         ("workflow", "trees/aliquots.yaml", "containers: [Container]", "containers: [Containr]"),
         ("workflow", "trees/prime_and_fill.yaml", "when: $prime > 0 mg", "wen: $prime > 0 mg"),
         ("workflow", "trees/fill.yaml", "dispense: {mass", "dispense: {mas"),
-        ("workflow", "trees/fill.yaml", "attempts: 8", "atempts: 8"),
+        ("workflow", "trees/fill.yaml", "attempts: 24", "atempts: 8"),
         ("workflow", "trees/fill.yaml", "scoop: {source: $source, wanted: $mass}", "scoop:"),
         ("workflow", "trees/fill.yaml", "source: Source", "source: Sorce"),
         ("workflow", "trees/fill.yaml", "device.lost]", "device.lst]"),
