@@ -113,6 +113,8 @@ class BalanceBelief(Spec):
     """Standard deviation of that time's logarithm."""
     shape: str = "two poles"
     """The kind of filter that delays it so: one of `scuhand_bt.dosing.estimation.SHAPES`."""
+    adapts: bool = False
+    """Its filter takes its time while little changes, and hurries while much does: an opening shows one of the two."""
     misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.02
     """The share of what was not yet read that this model of the balance was off by, noise apart."""
     noise_mg: Annotated[Milligrams, NotNegative] = 0.1

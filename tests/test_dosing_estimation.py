@@ -12,7 +12,7 @@ from scuhand_bt.dosing import constraint
 from scuhand_bt.dosing.characteristic import Step, step_of
 from scuhand_bt.dosing.constraint import RISK, chance, widest_mm
 from scuhand_bt.dosing.estimation import DELAYS_S, Bank, Model, powers
-from scuhand_bt.dosing.identification import LEAST_DOUBT, SHAPES, Row, balance_by, balance_of, transitions
+from scuhand_bt.dosing.identification import LEAST_DOUBT, SHAPES, Row, balance_by, balance_of, transitions, with_found
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.specs import BalanceBelief
 
@@ -88,7 +88,8 @@ def test_a_container_shows_how_late_a_balance_is_and_of_what_kind(
 ) -> None:
     found = balance_of(step_on(balance(kind, delay_s, poles=poles)))
     assert 2.0 * found.lag_s == pytest.approx(delay_s, abs=0.1)
-    assert found.doubt < 0.2, "it does not adapt"
+    assert found.doubt < 0.2
+    assert not found.adapts
     assert shape is None or found.shape == shape
     assert found.fits > 0
 
@@ -101,6 +102,38 @@ def test_of_a_filter_that_adapts_a_container_tells_that_it_may_be_slower(delay_s
     both = math.exp(2.0 * found.doubt)
     assert 2.0 * found.lag_s / both < delay_s
     assert delay_s * patience < 2.0 * found.lag_s * both
+    assert found.adapts
+
+
+@pytest.mark.parametrize("open_s", [0.4, 4.0])
+def test_openings_do_not_talk_a_filter_that_adapts_out_of_its_other_face(open_s: float) -> None:
+    """A wide one shows how quick it is, and the next may be one that it takes its time over."""
+    first = balance_of(step_on(balance("adaptive", 0.6, patience=3.0)))
+    known = first
+    for _ in range(5):
+        rows, left_mg = opening(balance("adaptive", 0.6, patience=3.0), open_s, 12.0)
+        known = with_found(known, balance_by(rows, 0.0, left_mg[-1]))
+    assert (known.lag_s, known.doubt, known.adapts) == (first.lag_s, first.doubt, True)
+    assert known.fits == first.fits + 5
+
+
+def test_a_filter_that_adapts_and_was_changed_is_learnt_anew() -> None:
+    first = known = balance_of(step_on(balance("adaptive", 0.3, patience=2.0)))
+    for _ in range(3):
+        rows, left_mg = opening(balance("adaptive", 1.5, patience=2.0), 4.0, 12.0)
+        known = with_found(known, balance_by(rows, 0.0, left_mg[-1]))
+    assert known.lag_s > 2.0 * first.lag_s
+
+
+def test_what_a_reading_tells_of_the_balance_can_be_left_aside() -> None:
+    told, untold = (Bank.believing(UNKNOWN, 0.1) for _ in range(2))
+    untold.temper = 0.0
+    rows, _ = opening(balance("poles", 0.3), 4.0, 0.0)
+    for bank in (told, untold):
+        bank.restart(0.0, 0.1, FLOW, 0.5)
+        seen_by(bank, rows)
+    assert told.delay_s < 0.6
+    assert untold.delay_s == pytest.approx(float(np.mean(DELAYS_S)))
 
 
 @pytest.mark.parametrize("delay_s", [0.6, 2.4])

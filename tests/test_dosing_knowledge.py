@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 
 import pytest
 from dose_bench import shipped_powders
@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Stream, Weigh, new_controller
-from scuhand_bt.dosing.controller import Doubt
+from scuhand_bt.dosing.adaptive import Adaptive, Ended
+from scuhand_bt.dosing.controller import Command, Doubt
 from scuhand_bt.dosing.knowledge import SEEN_S, SLACK_S, STUCK_MM, Knowledge
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
@@ -252,6 +253,27 @@ def test_a_balance_that_is_doubted_is_no_longer_known_and_the_next_dose_is_told(
     assert kept.doubt == 1.0
 
 
+def test_a_balance_that_adapts_creeps_and_is_known_all_the_same() -> None:
+    known = Knowledge(request(balance=QUICK.model_copy(update={"adapts": True, "doubt": 0.4})))
+    known.doubt_balance(Doubt(5.0, 1.0))
+    assert known.knows_balance
+    assert known.doubt == Doubt(5.0, 1.0)
+
+
+def test_the_last_of_a_dose_takes_either_face_of_a_balance_that_adapts_for_possible_whatever_was_read() -> None:
+    adapting = QUICK.model_copy(update={"adapts": True, "doubt": 0.4})
+    shifts = []
+    for balance, begin_mg in ((adapting, 100.0), (adapting, 470.0), (QUICK, 470.0)):
+        known = Knowledge(request(balance=balance))
+        known.begin(begin_mg, 0.1)
+        scale = Scale(known, BEADS.coefficient)
+        scale.act(1.0, PERIOD_S)
+        before_s = known.bank.delay_s
+        scale.act(1.0, 0.5)
+        shifts.append(abs(known.bank.delay_s - before_s) > 1e-6)
+    assert shifts == [True, False, True]
+
+
 FAST = BEADS.model_copy(update={"coefficient": 500.0, "doses": 3})
 
 
@@ -393,6 +415,37 @@ def test_a_look_goes_on_while_readings_rise_whatever_is_believed_of_the_balance(
         looked += [command] * (shut_s > 0.0)
         command = controller.decide(Observation(time_s, shown_mg, 0.05, isinstance(command, Weigh)))
     assert set(looked) == {Stream(0.0)}
+
+
+class Openings(Adaptive):
+    """Keeps why its openings ended, and what was missing then."""
+
+    def __init__(self, request: DoseRequest) -> None:
+        super().__init__(request)
+        self.ended: list[tuple[str, float]] = []
+
+    def _open(self) -> Generator[Command, Observation, Ended]:
+        ended = yield from super()._open()
+        self.ended.append((ended, self._known.request.target_mg - self.estimate_mg))
+        return ended
+
+
+@pytest.mark.parametrize(
+    ("adapts", "target_mg", "is_apart"), [(True, 500.0, True), (True, 35.0, False), (False, 500.0, False)]
+)
+def test_on_a_balance_that_adapts_the_last_of_a_dose_comes_out_of_another_opening(
+    adapts: bool, target_mg: float, is_apart: bool
+) -> None:
+    controller = Openings(request(target_mg=target_mg, balance=QUICK.model_copy(update={"adapts": adapts})))
+    known, command, shown_mg = controller._known, controller.decide(None), 0.0
+    while not isinstance(command, Finish):
+        time_s, is_stream = known.time_s + PERIOD_S, isinstance(command, Stream)
+        command = controller.decide(Observation(time_s, shown_mg, 0.05, not is_stream))
+        shown_mg += BEADS.coefficient * known.rows[-1].phi_s if is_stream and known.rows else 0.0
+    near_mg = [left_mg for ended, left_mg in controller.ended if ended == "near"]
+    assert len(near_mg) == is_apart
+    assert all(15.0 < left_mg < 30.0 for left_mg in near_mg)
+    assert shown_mg == pytest.approx(target_mg, abs=2.0)
 
 
 def widths_shown(shown_mg: Callable[[float], float], **changes: object) -> list[float]:

@@ -5,8 +5,8 @@ A dose is openings, each followed by a look with the valve shut, until a stable 
 * begins so narrow that the sheet may stick and it is seen in time (`begins_mm`);
 * is as wide as the chance constraint allows (`constraint`), narrower as the target comes near;
 * is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when for a
-  while powder did not come as it should, so that either a bridge holds it back or the balance does; or when a lump's
-  share was shaken out;
+  while powder did not come as it should, so that either a bridge holds it back or the balance does; when a lump's
+  share was shaken out; or near the target on a balance that adapts, which has been in a hurry until then;
 * is never widened while nothing is seen to come.
 
 Where an opening brought nothing the next one is tried again, then shaken, gently and then fully. Only a look that shows
@@ -33,7 +33,7 @@ from scuhand_bt.dosing.controller import (
     Weigh,
 )
 from scuhand_bt.dosing.estimation import powers
-from scuhand_bt.dosing.knowledge import FULL, GENTLE, SEEN_S, Knowledge
+from scuhand_bt.dosing.knowledge import FULL, GENTLE, NEAR_MG, SEEN_S, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
 MOST_OPENINGS = 200
@@ -84,7 +84,7 @@ EMPTY_S, DRY_S = 8.0, 60.0
 SCOOPED_ANEW_S = 3.0
 """The same for what is in any case to be scooped for again: less is left than is missing, and has stopped to come."""
 
-Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "rest", "long"]
+Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "rest", "long", "near"]
 """Why an opening ended."""
 
 
@@ -260,8 +260,11 @@ class Adaptive:
                 return "surprise"
             soon, later = (powers(*known.valve.closing(wait_s)) for wait_s in (period_s / 2.0, period_s))
             means, variances = bank.coming(np.array((soon, later)))
-            if float(bank.weights @ means[0]) >= known.aim_mg:  # shut now, it ends there
+            shut_mg = float(bank.weights @ means[0])  # if it is shut now
+            if shut_mg >= known.aim_mg:
                 return "reached"
+            if known.hurries and shut_mg >= known.aim_mg - NEAR_MG:
+                return "near"
             if not limit_mg and chance(bank, means[1], variances[1], most_mg) > RISK:
                 return "fear"
             mass_mg = bank.mass_mg

@@ -112,6 +112,8 @@ class Bank:
         self.delays_s = np.array([model.delay_s for model in self.models])
         self._pure, self._damping = np.array([SHAPES[model.shape] for model in self.models]).T
         self._step_of: dict[float, _Step] = {}
+        self.temper = TEMPER
+        """0 where how late the balance has been says nothing of how late it is when less comes."""
         self.erratic = 1.0
         """By what factor the variances of what is coming have turned out to be too small."""
         self.restart(0.0, 1.0, 1.0, 1.0)
@@ -234,7 +236,7 @@ class Bank:
 
     def _weigh(self, squares: Array) -> None:
         """The models' weights after a reading; those that are out of the question are dropped."""
-        weights = self.weights * np.exp(-0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2))
+        weights = self.weights * np.exp(-0.5 * self.temper * self._changing * np.minimum(squares, FARTHEST**2))
         kept = weights > LEAST_LIKELY * np.maximum.reduce(weights)
         if np.count_nonzero(kept) < len(kept):
             weights = weights[kept]

@@ -107,9 +107,11 @@ def balance_of(step: Step) -> BalanceBelief:
     slower = 1.0
     if step.last_s > max(last_s[shape], 0.0) + ADAPTS * delay_s:
         slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
-    doubt = math.hypot(STEP_DOUBT, 0.5 * math.log(slower))
+    apart = 0.5 * math.log(slower)
+    doubt, adapts = math.hypot(STEP_DOUBT, apart), apart > STEP_DOUBT
     misfit = min(far[shape] / math.hypot(*step.missing), 1.0)
-    return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, misfit=misfit, fits=1)
+    lag_s = delay_s / 2.0 * math.sqrt(slower)
+    return BalanceBelief(lag_s=lag_s, doubt=doubt, shape=shape, adapts=adapts, misfit=misfit, fits=1)
 
 
 def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
@@ -161,6 +163,8 @@ def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBeli
     share = known.doubt**2 / (known.doubt**2 + doubt**2)
     agreed = doubt * math.sqrt(share)
     contradicted = max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0)
+    if known.adapts and contradicted == 0.0:  # one of its two faces: the other is as likely in the next opening
+        return known.model_copy(update={"fits": known.fits + 1})
     return known.model_copy(
         update={
             "fits": known.fits + 1,

@@ -64,6 +64,8 @@ SHAKING_NOISE_MG = 0.3
 """Of a reading while the motor runs, until it was seen."""
 NOISE_GAIN, OUTLIER = 0.05, 12.0
 """How fast the noise is learnt; a second difference of more standard deviations is no noise."""
+NEAR_MG = 20.0
+"""On a balance that adapts an opening ends so far from the target, and the last of the dose comes out of others."""
 FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
 """How far the reference goes after the flow with each sight of it; where the flow is surely stronger."""
 LEAST_WEIGHT = 0.2
@@ -121,6 +123,10 @@ class Knowledge:
         """The coefficient that powder has surely flowed with, in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.erratic = self.erratic
+        self.hurries = self.balance.adapts and self.aim_mg - mass_mg > 2.0 * NEAR_MG
+        """Whether so much is to come that a filter which adapts shows its quick face; the last of a dose shows both."""
+        if self.balance.adapts and not self.hurries:
+            self.bank.temper = 0.0
         self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
 
@@ -353,7 +359,8 @@ class Knowledge:
     def doubt_balance(self, doubt: Doubt) -> None:
         """What a stable mean said is not what this balance was expected to say."""
         self.doubt = self.doubt or doubt
-        self.balance = self.balance.model_copy(update={"fits": 0, "doubt": 1.0})
+        if not self.balance.adapts:  # that creeps for longer than any model has it
+            self.balance = self.balance.model_copy(update={"fits": 0, "doubt": 1.0})
 
     # --- what is kept ---
 
