@@ -217,9 +217,14 @@ class Twins:
 
     def __init__(self, folder: Path) -> None:
         deadline_s = time.monotonic() + 60.0
-        while not (folder / "ask").exists() and time.monotonic() < deadline_s:
+        while True:
+            try:
+                self._line = Client(str(folder / "ask"))
+                return
+            except (FileNotFoundError, ConnectionRefusedError):  # it is not there yet, or does not listen yet
+                if time.monotonic() > deadline_s:
+                    raise
             time.sleep(0.05)
-        self._line = Client(str(folder / "ask"))
 
     def ask(self, what: str, said: object = None) -> tuple[float, Seen]:
         self._line.send((what, said))
