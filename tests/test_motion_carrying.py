@@ -34,13 +34,13 @@ def test_a_load_that_may_lean_more_is_never_carried_more_slowly(planner):
 
 
 def test_a_load_between_places_is_never_quicker_than_the_empty_cone_and_a_looser_one_never_slower():
-    # Between these places the search for a load finds a quicker way than the empty cone's: it begins later by as much.
     planner = drawn(216).planner()
     empty_s = planner.move(planner.standing_at("mortar_bay"), "balance").duration_s
     taken_s = [
         carried(planner, limit_deg, "mortar_bay", "balance").duration_s for limit_deg in (45.0, 30.0, 20.0, 10.0)
     ]
-    assert taken_s == pytest.approx([1.02 * empty_s, 1.04 * empty_s, 1.07 * empty_s, 1.10 * empty_s])
+    assert taken_s[0] == pytest.approx(empty_s, rel=1e-3), "the empty cone's way spills nothing at 45 degrees"
+    assert taken_s == sorted(taken_s)
 
 
 def test_a_load_between_places_is_not_bound_to_the_way_of_one_that_may_not_lean():

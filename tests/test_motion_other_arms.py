@@ -203,7 +203,7 @@ def test_an_arm_that_has_no_closed_form_or_another_kinds_is_refused():
     twisted = re.sub('<origin xyz=".*?" rpy=".*?"', '<origin xyz="0.03 0.05 0.1" rpy="1.2 0.3 0.1"', six_joints())
     with pytest.raises(ValueError, match="EAIK knows no closed form"):
         Arm(twisted, ArmSpec(kinematics="decomposed"))
-    with pytest.raises(ValueError, match="no joint 'elbow', whose window"):
+    with pytest.raises(ValueError, match="no joint 'elbow'"):
         Arm(XARM7, ArmSpec(kinematics="decomposed", windows_deg={"elbow": (0.0, 1.0)}))
     with pytest.raises(ValueError, match="are not within its servo's"):
         Arm(XARM7)

@@ -41,6 +41,7 @@ def looked_through(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return look(skill, folder, path, *given)
 
     monkeypatch.setattr(load, "_looked_through", counted)
+    monkeypatch.setattr(load, "_SOUND", {})
     return names
 
 
