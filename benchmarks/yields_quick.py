@@ -38,7 +38,6 @@ SHARES = (0.5, 1.0, 2.0)
 DOUBT = 0.2
 """Of the load limit: a load that gives out is short where so much more is believed to be in it (as in `dispense`)."""
 CLINGS_MG = 5.0
-TRIES = 24
 
 
 class Lot:
@@ -49,6 +48,7 @@ class Lot:
         """Doses before it, believed and true content [mg] after it."""
         self._rng, self._share, self._source = np.random.default_rng(seed), share, source
         self._skills, self._hand = lab.library.skills, lab.cell.hand
+        self._tries = int(lab.library.workflows["fill"].tree.arguments["attempts"].text)
         self._field, self._yield = HeightField(source.mortar, source.powder), OurScoopYield(source.powder)
         self._mortar_mg, self._cone_mg, self._strokes, self._doses = source.amount_mg, 0.0, 0, 0
         self._believed = Believed()
@@ -60,7 +60,7 @@ class Lot:
         """Scoops whenever the cone holds too little, as the workflow `fill` does."""
         left_mg, powder = mass_mg, self._source.powder
         holds = self._skills["cone_holds"](powder=powder, wanted_mg=mass_mg)
-        for _ in range(TRIES):
+        for _ in range(self._tries):
             try:
                 holds.check(self._cell)
             except SkillFailed:

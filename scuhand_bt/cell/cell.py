@@ -28,13 +28,14 @@ from scuhand_bt.events import ArmFreed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
-from scuhand_bt.motion.pouring import tilt_rad, turned_back
+from scuhand_bt.motion.pouring import turned_back
 from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
 
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
 RIGHTED_MM_PER_S, RIGHTED_STEP_RAD = 100.0, math.radians(20.0)
+"""As it is poured: between two such steps the lip of a cone that is turned about it strays by some millimetres."""
 LOAD_STEP_MM3 = 2000.0
 LIMIT_STEP_DEG = 0.1
 RECENT = 4000
@@ -300,7 +301,7 @@ class Cell:
         neither, nothing moves.
         """
         limit_deg, now = self._spill_limit_deg(), self.apex()
-        if limit_deg is None or math.degrees(tilt_rad(now)) <= limit_deg:
+        if limit_deg is None or now.tilt_deg <= limit_deg:
             return
         slant_mm = self.spec.hand.sheet_radius_mm
         half_rad = math.radians(Cone(self.hand.cone_diameter_mm, slant_mm).half_angle_deg)

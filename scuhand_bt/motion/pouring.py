@@ -27,16 +27,11 @@ def about_lip(
 
 def turned_back(now: ApexPose, step_rad: float, sheet_radius_m: float, half_rad: float) -> list[ApexPose]:
     """From a cone that leans to one that is upright, in steps of so much at most, with the lip where it is."""
-    leans_rad = tilt_rad(now)
+    leans_rad = math.radians(now.tilt_deg)
     out = np.array([now.axis[0], now.axis[1], 0.0]) / np.hypot(now.axis[0], now.axis[1])
     lip_m = now.position_m + sheet_radius_m * _leaning(leans_rad + half_rad, out)
     tilts_rad = np.linspace(leans_rad, 0.0, 1 + math.ceil(leans_rad / step_rad))[1:]
     return about_lip(lip_m, out, tilts_rad.tolist(), sheet_radius_m, half_rad)
-
-
-def tilt_rad(pose: ApexPose) -> float:
-    """How far a cone's axis is from upright."""
-    return math.atan2(math.hypot(pose.axis[0], pose.axis[1]), float(pose.axis[2]))
 
 
 def _leaning(angle_rad: float, out: Floats) -> Floats:
