@@ -380,6 +380,9 @@ def test_a_balance_is_as_quick_as_it_called_itself_stable_however_late_the_arm_l
     stable: int, times: int
 ) -> None:
     shown = Shown(25_000.0, takes_s=12.0)
+    for n in range(5):  # of the pan as it was before
+        before_s = shown.cell.clock.now_s - (4 - n) * PERIOD_S
+        shown.cell.readings.append(Reading(0.0, True, before_s, "mg", b"0.0 mg"))
     for n in range(20):
         is_stable = n < stable or n == 12
         shown.cell.readings.append(Reading(25_000.0, is_stable, 4.0 + n * PERIOD_S, "mg", b"25000.0 mg"))
