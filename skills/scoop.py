@@ -109,7 +109,8 @@ class Scoop(Skill[Milligrams]):
         yielded = cell.believed.yields.get(source.name, 1.0)
         # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
         aim = RICH_AIM if yielded >= RICH else LOAD_AIM
-        wanted_mg = most_mg = aim * source.powder.load_limit_mg / max(1.0, yielded)
+        most_mg = aim * source.powder.load_limit_mg / max(1.0, yielded)
+        wanted_mg = most_mg = max(most_mg - bed.missed_mg, most_mg / 2)
         if self.wanted_mg is not None:
             wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / yielded
         try:

@@ -1,5 +1,6 @@
 """What a cell is believed to hold: no sequence of verbs breaks its invariants, and nothing else changes it."""
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import FrozenInstanceError, fields, replace
@@ -216,7 +217,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "pan_empty_mg": 20_031.0,
         "pan_gross_mg": 20_031.0,
         "sources_mg": {"beads": 2000.0},
-        "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0, "beside_mg": 0.0}},
+        "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0, "beside_mg": 0.0, "missed_mg": 0.0}},
         "has_closed": True,
         "dosing": {
             "began_s": 4.0,
@@ -441,7 +442,34 @@ def test_what_a_load_that_brought_nothing_was_to_take_lies_where_strokes_do_not_
     believed = Believed()
     believed.scooped(BEADS, 3000.0, Layer(2.5, 2000.0, 100.0))
     believed.gave_out(is_short=False)
-    assert believed.layers["beads"] == Layer(2.5, 2000.0, 3100.0)
+    assert believed.layers["beads"] == Layer(2.5, 2000.0, 3100.0, 3000.0)
+
+
+def given_out(believed: Believed, scooped_mg: float, came_mg: float) -> tuple[float, Layer]:
+    """What is believed of scoops and bed once a load that should have been so much has given so much, and no more."""
+    believed.emptied()
+    believed.scooped(BEADS, scooped_mg, Layer(2.5, 2000.0, 100.0))
+    believed.dosing_ended(came_mg, 0.0)
+    believed.gave_out(is_short=False)
+    return believed.yields["beads"], believed.layers["beads"]
+
+
+@pytest.mark.parametrize(
+    ("came_mg", "share", "missed_mg"),
+    [(400.0, 0.4, 0.0), (301.0, 0.301, 0.0), (299.0, math.sqrt(0.4 * 0.299), 252.5), (100.0, 0.2, 750.0)],
+)
+def test_of_a_load_far_less_than_the_one_before_the_rest_lies_beside_and_the_next_brings_the_mean_of_both(
+    came_mg: float, share: float, missed_mg: float
+) -> None:
+    believed = Believed()
+    assert given_out(believed, 2000.0, 800.0) == (0.4, Layer(2.5, 2000.0, 100.0))
+    found_share, layer = given_out(believed, 1000.0, came_mg)
+    assert found_share == pytest.approx(share)
+    assert (layer.beside_mg, layer.missed_mg) == pytest.approx((100.0 + missed_mg, missed_mg))
+
+
+def test_a_first_load_however_small_tells_what_scoops_bring_and_nothing_of_where_powder_lies() -> None:
+    assert given_out(Believed(), 1000.0, 100.0) == (0.1, Layer(2.5, 2000.0, 100.0))
 
 
 @pytest.mark.parametrize("came_mg", [3000.0, 4200.0, 5200.0])

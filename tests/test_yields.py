@@ -88,3 +88,34 @@ def test_what_a_scoop_brings_is_believed_after_three_doses(
     assert ran.session.world.masses_mg["spilled"] < 10.0, (
         "no cone that was believed to be empty, and was not, has swung"
     )
+
+
+class Once(Other):
+    """A plant whose second scoop brings far less than it should, and whose others do not."""
+
+    scoops: ClassVar[int] = 0
+
+    class Yield(OurScoopYield):
+        def collect(self, lifted_mg: float, there_mg: float, rng: Generator) -> float:
+            Once.scoops += lifted_mg > 1000.0  # a plant is tried with less
+            kept_mg = (0.3 if Once.scoops == 2 else 1.0) * super().collect(lifted_mg, there_mg, rng)
+            Once.brought_mg.append(kept_mg)
+            return kept_mg
+
+    def __init__(self) -> None:
+        super().__init__()
+        Once.scoops = 0
+
+    def scoop(self, powder: Powder) -> OurScoopYield:
+        return self.Yield(powder)
+
+
+def test_what_one_poor_scoop_missed_does_not_come_with_a_full_load_besides(tmp_path: Path) -> None:
+    recipe = RECIPE.replace("MASS", "2900 mg") + "on_failure: {otherwise: flag}\n"
+    ran = dry_run(tmp_path, recipe, plant=f"{__name__}:Once", controller="adaptive")
+    brought_mg = [mass_mg for _, _, mass_mg in scoops(ran)]
+    limit_mg = ran.session.cell.sources["beads"].powder.load_limit_mg
+    assert brought_mg[1] < limit_mg / 2
+    assert brought_mg[2] < limit_mg
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["spilled"] < 10.0

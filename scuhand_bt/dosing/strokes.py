@@ -94,6 +94,8 @@ class Layer:
     mass_mg: float
     beside_mg: float = 0.0
     """What has fallen back before lips that left the wall, besides: high up, where the next strokes find little."""
+    missed_mg: float = 0.0
+    """Of that, what is there only because the last stroke did not find it: the next one may find it all the same."""
 
 
 class Bed:
@@ -112,6 +114,7 @@ class Bed:
 
         self.was_scooped_from = layer is not None
         self.beside_mg = min(layer.beside_mg, mass_mg) if layer is not None else 0.0
+        self.missed_mg = min(layer.missed_mg, mass_mg) if layer is not None else 0.0
         mass_mg -= self.beside_mg
         self._thick_mm: Floats = np.zeros(RINGS)
         if layer is not None and layer.gap_mm > LIP_GAP_MM:
