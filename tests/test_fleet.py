@@ -390,7 +390,7 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
     database: str, tmp_path: Path
 ) -> None:
     lab = make_lab(tmp_path / "lab")
-    order = submission_of(plan_of(lab, count=20), simulated=True)
+    order = submission_of(plan_of(lab, count=8), simulated=True)
 
     async def check() -> None:
         async with open_queue(database) as queue:
@@ -409,7 +409,7 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
             assert f"`scuhand-bt resume {journal.stem}` goes on with it" in state
             station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
             first, second = await works(station, queue, lambda jobs: jobs[0].status != "doing" and jobs[1].run != "")
-            assert (first.status, first.run, first.said) == ("succeeded", journal.stem, "done (20 in tolerance)")
+            assert (first.status, first.run, first.said) == ("succeeded", journal.stem, "done (8 in tolerance)")
             assert second.status == "doing"
 
     run(check())
