@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 
 from scuhand_bt.motion import explain, transfer
-from scuhand_bt.motion.kinematics import Floats, Mount
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount
 from scuhand_bt.motion.pace import Pace
 from scuhand_bt.motion.patience import Patience
 from scuhand_bt.motion.places import Places
@@ -59,6 +59,8 @@ class Way:
     geometry: Geometry
     effort: Effort
     patience: Patience = field(default_factory=Patience)
+    pose: ApexPose | None = None
+    """Whose configurations the goals are."""
 
     def request(self, spill_limit_deg: float | None) -> Request:
         """What its answer is kept by."""
@@ -220,7 +222,7 @@ class Answers:
         if np.abs(ranked.free[0] - way.begin).max() < 1e-9:
             return standing(way.begin)
         mount = self._mount_of(way.geometry)
-        task = transfer.Task(way.begin, ranked, scene, self._pace.rates, mount, spill_limit_deg)
+        task = transfer.Task(way.begin, ranked, scene, self._pace.rates, mount, spill_limit_deg, way.pose)
         return transfer.plan(task, way.effort, way.request(spill_limit_deg).seed, known)
 
     def _require_free_ends(self, way: Way) -> None:

@@ -24,6 +24,7 @@ Joints [rad] (n, 7), durations and times [s]; randomness is the caller's.
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -32,6 +33,9 @@ from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.proof import Prover
 from scuhand_bt.motion.timelaw import RateLimits, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
+
+Legs: TypeAlias = tuple[Floats, Floats, Floats]
+"""Of every joint: times and steps of jerk (..., 8), and how long it takes (...)."""
 
 _PROPOSALS = 160
 _LOOKS = tuple(
@@ -88,7 +92,7 @@ def jerk_steps(start: Floats, some: Schedules, limits: RateLimits) -> tuple[Floa
     total_s = some.durations_s[:, None]
     firsts, first_steps, first_s = legs(some.turns - start, limits)
     seconds, second_steps, second_s = legs(some.goals - some.turns, limits)
-    merged_s = _merged_s(firsts, first_steps, seconds, second_steps)
+    merged_s = merged_ramps_s(firsts, first_steps, seconds, second_steps)
     late = first_s + second_s - merged_s > total_s
     if late.any():
         joint = np.nonzero(late)[1]
@@ -96,20 +100,27 @@ def jerk_steps(start: Floats, some: Schedules, limits: RateLimits) -> tuple[Floa
         firsts[late], first_steps[late], first_s[late] = legs((some.goals - start)[late], limits_of)
         second_steps[late], second_s[late], merged_s[late] = 0.0, 0.0, 0.0
     spare = np.maximum(total_s - first_s - second_s + merged_s, 0.0)[..., None] * some.shares
+    return one_after_another((firsts, first_steps, first_s), (seconds, second_steps, second_s), merged_s, spare)
+
+
+def one_after_another(first: Legs, second: Legs, merged_s: Floats, spare: Floats) -> tuple[Floats, Floats]:
+    """Times and jerk steps (..., 16) of two legs that overlap by so much, with waiting and so on [s] (..., 5)."""
+    (firsts, first_steps, first_s), (seconds, second_steps, second_s) = first, second
     slow_first = 1 + spare[..., 1] / np.maximum(first_s, _LEAST_S)
     slow_second = 1 + spare[..., 3] / np.maximum(second_s, _LEAST_S)
     begin = spare[..., 0]
     again = begin + first_s * slow_first + spare[..., 2] - merged_s
     times_s = np.concatenate(
-        [begin[..., None] + firsts * slow_first[..., None], again[..., None] + seconds * slow_second[..., None]], axis=2
+        [begin[..., None] + firsts * slow_first[..., None], again[..., None] + seconds * slow_second[..., None]],
+        axis=-1,
     )
     steps = np.concatenate(
-        [first_steps / slow_first[..., None] ** 3, second_steps / slow_second[..., None] ** 3], axis=2
+        [first_steps / slow_first[..., None] ** 3, second_steps / slow_second[..., None] ** 3], axis=-1
     )
     return times_s, steps
 
 
-def _merged_s(firsts: Floats, first_steps: Floats, seconds: Floats, second_steps: Floats) -> Floats:
+def merged_ramps_s(firsts: Floats, first_steps: Floats, seconds: Floats, second_steps: Floats) -> Floats:
     """By how much two legs (..., 8), times and steps of jerk, may overlap: the shorter ramp where a joint turns back.
 
     The first leg's last ramp and the second one's first have opposite jerks then, and accelerations of one sign: these
@@ -144,6 +155,9 @@ class ScheduleSearch:
     ) -> None:
         self._prover, self._limits, self._level = prover, limits, level
         self._start, self._goals, self._bounds_s = start, goals, bounds_s
+        self.motion: JointTrajectory | None = None
+        self.best: Schedules | None = None
+        """Of the quickest motion found, its schedule: one."""
         self._habits = (_TURNING, _TURN_RAD, _LIFT_RAD)
         if prover.mount.arm is not None:
             same = np.ones(len(start))
@@ -166,7 +180,7 @@ class ScheduleSearch:
         Once there is one, so many `idle_rounds` in a row that find none quicker end the search, as `ends` does, which
         is asked with the best so far.
         """
-        best, parent, idle = known, None, 0
+        best, idle = known, 0
         wanted_least_s, good_s = wanted_s
         least_s = max(float(self._bounds_s[0]), wanted_least_s)
         for k in range(rounds):
@@ -176,12 +190,12 @@ class ScheduleSearch:
                 break
             most_s = (_FIRST_UPTO + k / 2) * least_s if best is None else _QUICKER * best.duration_s
             some = self._fresh(_PROPOSALS, least_s, most_s, rng)
-            if parent is not None and (bound_s := max(self._bound_s(parent), wanted_least_s)) <= most_s:
-                some = self._near(parent, some, (bound_s, most_s), rng)
+            if self.best is not None and (bound_s := max(self._bound_s(self.best), wanted_least_s)) <= most_s:
+                some = self._near(self.best, some, (bound_s, most_s), rng)
             found = self._first_proven(some, best)
             idle += 1
             if found is not None:
-                (best, parent), idle = found, 0
+                (best, self.best), idle = found, 0
         return best
 
     def _fresh(self, count: int, least_s: float, most_s: float, rng: np.random.Generator) -> Schedules:
@@ -207,7 +221,7 @@ class ScheduleSearch:
         turns = self._within(level.joints(c))
         firsts, first_steps, first_s = legs(turns - self._start, self._limits)
         seconds, second_steps, second_s = legs(goals - turns, self._limits)
-        merged_s = _merged_s(firsts, first_steps, seconds, second_steps)
+        merged_s = merged_ramps_s(firsts, first_steps, seconds, second_steps)
         earliest_s, latest_s = first_s.max(axis=1), total_s - second_s.max(axis=1)
         turned_s = earliest_s + (latest_s - earliest_s) * rng.uniform(size=count)
         slower_s = np.stack([turned_s[:, None] - first_s, (total_s - turned_s)[:, None] - second_s], axis=2)

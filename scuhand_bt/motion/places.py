@@ -2,10 +2,12 @@
 
 Of the configurations of a pose the posture is the nearest to an arm that reaches out over its elbow in one upright
 plane: exactly in that, joints 2 and 6 may pass through zero, near which joints about one line would have to turn much.
+Where only an empty cone comes it need not be level on its way: there the posture is the quickest one to come to and to
+leave.
 Configurations [rad] (7,).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -18,6 +20,7 @@ from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount, apex
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.scenes import Geometry, Scenes
+from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 
 RELAXED_RAD = (0.0, -0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
 """What the CRANE-X7's postures are chosen near to, j1 from where the place is; another arm's are told by the cell."""
@@ -31,8 +34,17 @@ BESIDE_M = 0.02
 class Places:
     """Places by name, and their postures."""
 
-    def __init__(self, scenes: Scenes, hand: HandSpec, arm: DecomposedArm | None) -> None:
-        self._scenes, self._hand, self._arm = scenes, hand, arm
+    def __init__(
+        self,
+        scenes: Scenes,
+        hand: HandSpec,
+        arm: DecomposedArm | None,
+        rates: RateLimits,
+        visits_rad: Mapping[str, Floats],
+    ) -> None:
+        self._scenes, self._hand, self._arm, self._rates = scenes, hand, arm, rates
+        self._visits_rad = visits_rad
+        """Of places where only an empty cone comes, in what directions the arm comes from and goes to."""
         self._relaxed_rad = RELAXED_RAD if arm is None else arm.relaxed_rad
         self._poses: dict[str, ApexPose] = {}
         self._postures: Recent[tuple[str, Geometry], Floats] = Recent(POSTURES_KEPT)
@@ -83,19 +95,27 @@ class Places:
 
     def _canonical(self, name: str, geometry: Geometry) -> Floats:
         pose, scene = self._poses[name], self._scenes.of(geometry)
-        mount = Mount.of(self._hand, 1e3 * geometry.cone_diameter_m, self._arm)
-        for looked_at in (reaching_out(pose, mount), pose):
+        mount, visits_rad = Mount.of(self._hand, 1e3 * geometry.cone_diameter_m, self._arm), self._visits_rad.get(name)
+        for looked_at in (reaching_out(pose, mount), pose) if visits_rad is None else (pose,):
             q = solutions(looked_at, mount, scene.limits_rad)
             free = q[~scene.hits(q)]
             if len(free):
                 break
         else:
             raise goal_blocked(scene, name, q)
-        azimuth_rad = float(np.arctan2(pose.position_m[1], pose.position_m[0]))
-        relaxed = np.array(self._relaxed_rad)
-        relaxed[0] += azimuth_rad
+        if visits_rad is not None:
+            ways = free[:, None] - self._relaxed(visits_rad)
+            quickest: Floats = free[np.argmin(rest_to_rest_s(ways, self._rates).mean(axis=1))]
+            return quickest
+        relaxed = self._relaxed(np.arctan2(pose.position_m[1:2], pose.position_m[:1]))
         chosen: Floats = free[np.argmin(np.linalg.norm(free - relaxed, axis=1))]
         return chosen
+
+    def _relaxed(self, azimuths_rad: Floats) -> Floats:
+        """The arm reaching out in these directions (n,): (n, 7)."""
+        relaxed = np.tile(np.array(self._relaxed_rad), (len(azimuths_rad), 1))
+        relaxed[:, 0] += azimuths_rad
+        return relaxed
 
 
 def reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:

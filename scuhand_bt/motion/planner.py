@@ -73,7 +73,7 @@ class MotionPlanner:
         self.tool = arm.tool
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
-        self._places = Places(self._scenes, cell.hand, arm.decomposed)
+        self._places = Places(self._scenes, cell.hand, arm.decomposed, self.rates, _visits_rad(cell))
         self._answers = Answers(self._scenes, self._places, self._pace, self._mount_in, self._store)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
         self._reforms: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
@@ -192,7 +192,8 @@ class MotionPlanner:
     ) -> StoppableTrajectory:
         """A motion from rest at `start` to rest at a place, pose or configuration; `spill_limit_deg` for a load."""
         begin, goals, name = self._resolved(start, goal)
-        way = Way(begin, goals, name, self._geometry, effort, Patience(self.patience_s))
+        pose = goal if isinstance(goal, ApexPose) else None
+        way = Way(begin, goals, name, self._geometry, effort, Patience(self.patience_s), pose)
         if spill_limit_deg is None:
             return self._answers.empty(way)
         if not spill_limit_deg > 0:
@@ -384,3 +385,10 @@ class MotionPlanner:
 
     def _posture(self, place: str) -> Floats:
         return self._places.posture(place, self._geometry)
+
+
+def _visits_rad(cell: CellSpec) -> dict[str, Floats]:
+    """Of the stations where only an empty cone comes, in what directions the arm comes from and goes to."""
+    from_and_to = [one.position_mm for one in cell.stations.values() if one.kind in ("mortar", "waste", "park")]
+    directions_rad = np.array([np.arctan2(y, x) for x, y, _ in from_and_to])
+    return {name: directions_rad for name, one in cell.stations.items() if one.kind == "service"}

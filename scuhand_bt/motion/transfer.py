@@ -23,10 +23,11 @@ from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.coordinates import JointCoordinates, level_coordinates
 from scuhand_bt.motion.free_space import Space
 from scuhand_bt.motion.joint_schedules import ScheduleSearch
-from scuhand_bt.motion.kinematics import Floats, Mount
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount
 from scuhand_bt.motion.patience import Patience
 from scuhand_bt.motion.proof import Prover
 from scuhand_bt.motion.rrt_connect import connect, shortened
+from scuhand_bt.motion.schedule_descent import Descent
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory
 from scuhand_bt.motion.via_points import ViaPointSearch, ViaTrajectory
@@ -36,6 +37,8 @@ _LOADED_ROUNDS = 2
 _ITERATIONS = 4000
 _LOADED_ITERATIONS = 120
 """In each of the two coordinates, where an iteration costs several times as much."""
+_LEVELLED, _LOADED_CHANGES = 3, 2
+"""From so many of the empty cone's schedules a load's is tried, with so many times the changes."""
 ATTEMPTS = 3
 """Times that a search which finds nothing is made, each from another seed; after the first with twice the budget."""
 _LOADED_DIRECTS = 4
@@ -72,12 +75,22 @@ class Effort:
     """A direct motion within this of the best goal's bound is not worth a search."""
     good_enough: float
     """Nor is any motion within this."""
+    changes: int = 0
+    """So many steps downhill are taken from the best schedule."""
 
 
 LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=7, near_optimum=1.66, good_enough=1.07)
-PREPARED = replace(LIVE, schedule_rounds=20, via_rounds=40, idle_rounds=20)
+PREPARED = replace(LIVE, schedule_rounds=20, via_rounds=40, idle_rounds=20, changes=10)
 """Of loads between places, which are planned before the arm waits for them."""
-POLISHED = Effort(schedule_rounds=28, via_starts=2, via_rounds=30, idle_rounds=30, near_optimum=1.02, good_enough=1.02)
+POLISHED = Effort(
+    schedule_rounds=60,
+    via_starts=2,
+    via_rounds=30,
+    idle_rounds=30,
+    near_optimum=1.02,
+    good_enough=1.02,
+    changes=10,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +121,13 @@ class Task:
     rates: RateLimits
     mount: Mount
     spill_limit_deg: float | None = None
+    pose: ApexPose | None = None
+    """Whose configurations the goals are, some of them; None where there are no others."""
+
+    @property
+    def leans(self) -> bool:
+        """Whether there is a load that may lean: where it hardly may, a motion is level, as others are to be slowed."""
+        return self.spill_limit_deg is not None and _TILT_SHARE * self.spill_limit_deg > _LEAST_LEAN_DEG
 
     def bounds_s(self, goals: Floats) -> Floats:
         """The least durations in which goals (n, 7) can be reached: (n,)."""
@@ -183,6 +203,10 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
             return best
         if known.ends(best):
             return best
+    if effort.changes and task.leans:
+        best = _quickest([best, _levelled(task, effort, seed, known, good_s)])
+        if best is not None and best.duration_s <= good_s:
+            return best
     searches = [search for search in searches if len(search.ends)]
     if known.is_quick:
         # Not begun from a direct motion, which may be so slow that improving on it stands still.
@@ -201,6 +225,25 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
     return best
 
 
+def _levelled(task: Task, effort: Effort, seed: int, known: AtHand, good_s: float) -> JointTrajectory | None:
+    """A load's motion downhill from the empty cone's schedules, which tilt it: they are quick and easily found."""
+    empty = replace(task, spill_limit_deg=None)
+    space, best = empty.spaces()[0], known.motion
+    prover = Prover(space, task.rates, task.mount, task.spill_limit_deg)
+    search = _Search(empty, space, effort, known)
+    for goals in task.free_goals(np.inf):
+        search.add(goals)
+    for start in range(_LEVELLED):
+        if known.ends(best) or (best is not None and best.duration_s <= good_s):
+            break
+        rng = np.random.default_rng([seed, start])
+        schedule = search.schedules(None, rng, good_s).best
+        if schedule is not None:
+            descent = Descent(prover, task.rates, task.start, task.spill_limit_deg, task.pose)
+            best = descent.quicker(schedule, best, known.least_s, _LOADED_CHANGES * effort.changes, known.ends)
+    return best
+
+
 def _quickest(motions: Iterable[JointTrajectory | None]) -> JointTrajectory | None:
     return min((motion for motion in motions if motion is not None), key=lambda one: one.duration_s, default=None)
 
@@ -216,16 +259,21 @@ class _Search:
         self._loaded = task.spill_limit_deg is not None
         self.ends, self._bounds_s = np.empty((0, len(self._start))), np.empty(0)
 
-    def direct(self, goals: Floats, upto_s: float) -> JointTrajectory | None:
-        """Adds goals (n, 7), in the order of their bounds; the first direct motion to one of them that is proven.
-
-        Only those that may be as short as `upto_s` are tried.
-        """
+    def add(self, goals: Floats) -> tuple[Floats, Floats]:
+        """Adds goals (n, 7); those that these coordinates hold, and their bounds."""
         reached = goals[self._space.coordinates.covers(goals)]
         ends, bounds_s = self._space.coordinates.of(reached), self._task.bounds_s(reached)
         self._bounds_s = np.concatenate([self._bounds_s, bounds_s])
         order = np.argsort(self._bounds_s, kind="stable")
         self.ends, self._bounds_s = np.concatenate([self.ends, ends])[order], self._bounds_s[order]
+        return ends, bounds_s
+
+    def direct(self, goals: Floats, upto_s: float) -> JointTrajectory | None:
+        """Adds goals (n, 7), in the order of their bounds; the first direct motion to one of them that is proven.
+
+        Only those that may be as short as `upto_s` are tried.
+        """
+        ends, bounds_s = self.add(goals)
         worthwhile = ends[bounds_s <= upto_s]
         looks_free = self._space.glance(np.broadcast_to(self._start, worthwhile.shape), worthwhile)
         tried = worthwhile[looks_free][: _LOADED_DIRECTS if self._loaded else None]
@@ -236,14 +284,25 @@ class _Search:
         self, known: JointTrajectory | None, rng: np.random.Generator, good_s: float
     ) -> JointTrajectory | None:
         """Something quicker than what is known; or that, or None."""
-        coordinates = self._space.coordinates
-        if not isinstance(coordinates, JointCoordinates):
+        if not isinstance(self._space.coordinates, JointCoordinates):
             return _quickest([known, self._by_detours(rng)])
-        ends, bounds_s = self.ends[:_NEAREST], self._bounds_s[:_NEAREST]
-        schedules = ScheduleSearch(self._prover, self._task.rates, self._start, ends, bounds_s, coordinates.level)
+        found = self.schedules(known, rng, good_s)
+        effort, motion = self._effort, found.motion
+        if not effort.changes or motion is None or found.best is None or motion.duration_s <= good_s:
+            return motion
+        task = self._task
+        descent = Descent(self._prover, task.rates, self._start, task.spill_limit_deg, task.pose)
+        return descent.quicker(found.best, motion, self._known.least_s, effort.changes, self._known.ends)
+
+    def schedules(self, known: JointTrajectory | None, rng: np.random.Generator, good_s: float) -> ScheduleSearch:
+        """A search of schedules that is done."""
+        ends, bounds_s, coordinates = self.ends[:_NEAREST], self._bounds_s[:_NEAREST], self._space.coordinates
+        level = coordinates.level if isinstance(coordinates, JointCoordinates) else None
+        search = ScheduleSearch(self._prover, self._task.rates, self._start, ends, bounds_s, level)
         rounds = (_LOADED_ROUNDS if self._loaded else 1) * self._effort.schedule_rounds
-        least_s, idle_rounds = self._known.least_s, self._effort.idle_rounds
-        return schedules.quickest(known, rng, rounds, (least_s, good_s), idle_rounds, self._known.ends)
+        wanted_s = (self._known.least_s, good_s)
+        search.motion = search.quickest(known, rng, rounds, wanted_s, self._effort.idle_rounds, self._known.ends)
+        return search
 
     def _by_detours(self, rng: np.random.Generator) -> JointTrajectory | None:
         """The best motion that begins with one via point."""
