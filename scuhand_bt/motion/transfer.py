@@ -76,7 +76,9 @@ class Effort:
     good_enough: float
     """Nor is any motion within this."""
     changes: int = 0
-    """So many steps downhill are taken from the best schedule."""
+    """So many steps downhill are taken from the best schedule of a search."""
+    starts: int = 1
+    """So many searches of schedules are made."""
 
 
 LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=7, near_optimum=1.66, good_enough=1.07)
@@ -90,6 +92,7 @@ POLISHED = Effort(
     near_optimum=1.02,
     good_enough=1.02,
     changes=10,
+    starts=2,
 )
 
 
@@ -205,7 +208,7 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
             return best
     if effort.changes and task.leans:
         best = _quickest([best, _levelled(task, effort, seed, known, good_s)])
-        if best is not None and best.duration_s <= good_s:
+        if best is not None and (best.duration_s <= good_s or known.is_quick):
             return best
     searches = [search for search in searches if len(search.ends)]
     if known.is_quick:
@@ -286,13 +289,17 @@ class _Search:
         """Something quicker than what is known; or that, or None."""
         if not isinstance(self._space.coordinates, JointCoordinates):
             return _quickest([known, self._by_detours(rng)])
-        found = self.schedules(known, rng, good_s)
-        effort, motion = self._effort, found.motion
-        if not effort.changes or motion is None or found.best is None or motion.duration_s <= good_s:
-            return motion
-        task = self._task
-        descent = Descent(self._prover, task.rates, self._start, task.spill_limit_deg, task.pose)
-        return descent.quicker(found.best, motion, self._known.least_s, effort.changes, self._known.ends)
+        effort, task, best = self._effort, self._task, known
+        for start in range(effort.starts):
+            # Begun anew, a search ends elsewhere.
+            found = self.schedules(None if start else known, rng, good_s)
+            best = _quickest([best, found.motion])
+            if best is not None and (best.duration_s <= good_s or self._known.ends(best)):
+                break
+            if effort.changes and found.best is not None:
+                descent = Descent(self._prover, task.rates, self._start, task.spill_limit_deg, task.pose)
+                best = descent.quicker(found.best, best, self._known.least_s, effort.changes, self._known.ends)
+        return best
 
     def schedules(self, known: JointTrajectory | None, rng: np.random.Generator, good_s: float) -> ScheduleSearch:
         """A search of schedules that is done."""
