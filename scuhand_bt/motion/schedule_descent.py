@@ -39,7 +39,7 @@ _OVERLAP_M = 6e-4
 """What may be all right by closer samples."""
 _S_PER_M, _SLACK_S_PER_M = 200.0, 400.0
 """What an overlap costs where changes are judged, and in a program."""
-_FIRST_TRUST_RAD, _LEAST_TRUST_RAD, _MOST_TRUST_RAD = 0.12, 0.003, 0.3
+_FIRST_TRUST_RAD, _LEAST_TRUST_RAD, _MOST_TRUST_RAD = 0.12, 0.01, 0.3
 _S_PER_RAD = 1 / 3
 """How much a time may change where a joint may change by 1 rad."""
 _WIDER, _NARROWER = 1.5, 0.4
@@ -54,7 +54,7 @@ _TIGHTNESSES, _MORE_MARGIN, _MORE_CHANGES = 3, 0.15, 4
 _WATCHED_FOR = 4
 """Changes, before it is looked anew at what is near."""
 _SHARE_OF_T = 0.1
-_LEAST_GAIN_S = 1e-5
+_LEAST_GAIN_S = 5e-4
 _ROUNDING = 1e-12
 
 
