@@ -20,15 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from scipy import sparse
 from scipy.optimize import linprog
 
 from benchmarks.figures import spread
 from benchmarks.motion import MOUNT, Bench, Task
 from scuhand_bt.motion import transfer
+from scuhand_bt.motion.clearances import Clearances
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.decomposed import joint_axes
 from scuhand_bt.motion.joint_schedules import ScheduleSearch
 from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Floats, apex
 from scuhand_bt.motion.proof import Prover
@@ -41,41 +40,9 @@ BEGUN, OTHER_RAD = 3, 0.25
 STEPS, SAMPLES, PROGRAMS = 36, 72, 18
 MARGIN_M = 0.0056
 """A little more than what a proof asks for at its own, closer samples."""
-NEAR_M = 0.06
 FIRST_TRUST_RAD, LEAST_TRUST_RAD, MOST_TRUST_RAD = 0.15, 0.002, 0.4
 MISSED, OVERLAP = 1e-3, 4e-4
 """Of the end's pose [m, 1] and of the margin [m], what does not count."""
-
-
-class Distances:
-    """Distances of near pairs, and how they change with the joints."""
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene, self._data, self._shapes = scene, scene.model.createData(), pin.GeometryData(scene.shapes)
-        parents = [thing.parentJoint for thing in scene.shapes.geometryObjects]
-        self._parents = [(parents[pair.first], parents[pair.second]) for pair in scene.shapes.collisionPairs]
-        self._axes = joint_axes(scene.model)
-
-    def near(self, q: Floats) -> list[tuple[float, Floats]]:
-        """Of all pairs nearer than NEAR_M at q (7,), the distance [m] and its gradient (7,)."""
-        pin.computeDistances(self._scene.model, self._data, self._scene.shapes, self._shapes, q)
-        placed = [self._data.oMi[j + 1] for j in range(len(q))]
-        found = []
-        for result, parents in zip(self._shapes.distanceResults, self._parents, strict=True):
-            distance_m = result.min_distance
-            if distance_m > NEAR_M:
-                continue
-            points = [np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())]
-            apart = points[0] - points[1]
-            length_m = float(np.linalg.norm(apart))
-            normal = -np.array(result.normal) if length_m < 1e-6 else np.sign(distance_m) * apart / length_m
-            gradient = np.zeros(len(q))
-            for sign, point, parent in zip((1, -1), points, parents, strict=True):
-                for j in range(parent):
-                    turned = np.cross(placed[j].rotation @ self._axes[j], point - placed[j].translation)
-                    gradient[j] += sign * float(normal @ turned)
-            found.append((distance_m, gradient))
-        return found
 
 
 def _integrals(s: Floats, order: int) -> Floats:
@@ -108,7 +75,7 @@ class Local:
         self._at = sparse.kron(sparse.csr_matrix(_integrals(samples, 0)), joints, format="csr")
         self._speeds = sparse.kron(sparse.csr_matrix(_integrals(knots, 1)), joints, format="csr")
         self._accelerations = sparse.kron(sparse.csr_matrix(_integrals(knots, 2)), joints, format="csr")
-        self._samples, self._distances = samples, Distances(self.scene)
+        self._samples, self._clearances = samples, Clearances(self.scene)
 
     def quicker(self, motion: JointTrajectory) -> JointTrajectory | None:
         """The last motion that keeps everything; None if none does."""
@@ -134,7 +101,8 @@ class Local:
         return best if best is not None and self.scene.proves(best) else None
 
     def _near(self, course: Floats) -> list[tuple[int, float, Floats]]:
-        return [(k, *one) for k, q in enumerate(course) for one in self._distances.near(q)]
+        near = self._clearances.near(course, self._clearances.watched(course))
+        return list(zip(near.at.tolist(), near.distances_m.tolist(), near.gradients, strict=True))
 
     def _solved(
         self, course: Floats, duration_s: float, near: list[tuple[int, float, Floats]], trust_rad: float
