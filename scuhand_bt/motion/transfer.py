@@ -37,8 +37,9 @@ _LOADED_ROUNDS = 2
 _ITERATIONS = 4000
 _LOADED_ITERATIONS = 120
 """In each of the two coordinates, where an iteration costs several times as much."""
-_LEVELLED, _LOADED_CHANGES = 3, 2
-"""From so many of the empty cone's schedules a load's is tried, with so many times the changes."""
+_LEVELLED, _MOST_LEVELLED, _LOADED_CHANGES = 3, 8, 2
+"""From so many of the empty cone's schedules a load's is tried, with so many times the changes; from more of them
+where none of those can be levelled."""
 ATTEMPTS = 3
 """Times that a search which finds nothing is made, each from another seed; after the first with twice the budget."""
 _LOADED_DIRECTS = 4
@@ -236,8 +237,9 @@ def _levelled(task: Task, effort: Effort, seed: int, known: AtHand, good_s: floa
     search = _Search(empty, space, effort, known)
     for goals in task.free_goals(np.inf):
         search.add(goals)
-    for start in range(_LEVELLED):
-        if known.ends(best) or (best is not None and best.duration_s <= good_s):
+    for start in range(_MOST_LEVELLED):
+        is_enough = best is not None and (best.duration_s <= good_s or start >= _LEVELLED)
+        if is_enough or known.ends(best):
             break
         rng = np.random.default_rng([seed, start])
         schedule = search.schedules(None, rng, good_s).best
