@@ -123,7 +123,7 @@ class Descent:
             is_quick = best.x[-1] <= least_s and best.overlap_m <= 0.0
             if trust_rad < _LEAST_TRUST_RAD or is_quick or ends():
                 break
-            found, trust_rad = self._changed(best, trust_rad, least_s, k % _WATCHED_FOR == 0)
+            found, trust_rad = self._changed(best, trust_rad, least_s, k % _WATCHED_FOR == 0, ends)
             if found is None:
                 break
             reached.append(found)
@@ -239,7 +239,9 @@ class Descent:
 
     # Programs ---------------------------------------------------------------------------------------
 
-    def _changed(self, best: _Look, trust_rad: float, least_s: float, is_anew: bool) -> tuple[_Look | None, float]:
+    def _changed(
+        self, best: _Look, trust_rad: float, least_s: float, is_anew: bool, ends: Callable[[], bool]
+    ) -> tuple[_Look | None, float]:
         """What is better, None where nothing is, and within what changes it was found."""
         own, size = self._own_motion(best.goal), len(best.x)
         moves = np.eye(size + own.shape[1]) * _STEP
@@ -256,10 +258,10 @@ class Descent:
         rows += [np.column_stack([slope, np.zeros(len(slope))]) for slope, _, _ in fits]
         limits += [limit for _, limit, _ in fits]
         known = len(rows)
-        while trust_rad >= _LEAST_TRUST_RAD:
+        while trust_rad >= _LEAST_TRUST_RAD and not ends():
             for _ in range(_HEEDED):
                 change = self._solved(best, rows, limits, trust_rad, least_s, own.shape[1])
-                if change is None:
+                if change is None or ends():
                     break
                 goal = self._at_pose(best.goal + own @ change[size:]) if own.size else best.goal
                 looked = self._looked(self._fitted(best.x + change[:size], goal), goal)
