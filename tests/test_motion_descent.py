@@ -50,6 +50,17 @@ def test_what_goes_between_two_configurations_ends_in_the_one_that_was_asked_for
     assert motion.end == pytest.approx(planner.standing_at("balance"), abs=1e-9)
 
 
+def test_a_pose_of_one_configuration_is_that_configuration_from_either_side(monkeypatch):
+    planner = LAYOUT.planner()
+    resolved = planner._resolved
+    for here, there in (("mortar_bay_2", "balance"), ("balance", "mortar_bay_2")):
+        start, only = planner.standing_at(here), planner.standing_at(there)
+        monkeypatch.setattr(planner, "_resolved", lambda *asked, only=only: (resolved(*asked)[0], only[None], None))
+        motion = planner.move(start, LAYOUT.places[there], effort=POLISHED)
+        assert motion.start == pytest.approx(start, abs=1e-9)
+        assert motion.end == pytest.approx(only, abs=1e-9)
+
+
 def test_downhill_is_the_same_way_every_time(motions):
     again = LAYOUT.planner().move(motions[1].start, LAYOUT.places["balance"], effort=POLISHED)
     assert again.coefficients.tobytes() == motions[1].coefficients.tobytes()

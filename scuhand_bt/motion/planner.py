@@ -192,7 +192,7 @@ class MotionPlanner:
     ) -> StoppableTrajectory:
         """A motion from rest at `start` to rest at a place, pose or configuration; `spill_limit_deg` for a load."""
         begin, goals, name = self._resolved(start, goal)
-        pose = goal if isinstance(goal, ApexPose) else None
+        pose = goal if isinstance(goal, ApexPose) and len(goals) > 1 else None
         way = Way(begin, goals, name, self._geometry, effort, Patience(self.patience_s), pose)
         if spill_limit_deg is None:
             return self._answers.empty(way)
