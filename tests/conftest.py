@@ -1,7 +1,9 @@
 """Shared by the tests: commands in this process, labs that can be changed, and a bench for trees."""
 
+import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,6 +41,14 @@ from scuhand_bt.yaml_source import parse
 
 pytest_plugins = ["pytester", "real_time", "browser"]
 REPOSITORY = Path(__file__).parent.parent
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Caches of these tests' own, shared by the processes that run them: most plan the same ways of the same arm."""
+    if not hasattr(config, "workerinput"):
+        caches = tempfile.mkdtemp(prefix="scuhand-caches-")
+        os.environ["XDG_CACHE_HOME"] = caches
+        config.add_cleanup(lambda: shutil.rmtree(caches, ignore_errors=True))
 
 
 def problems_of(action: Callable[[], object]) -> list[str]:

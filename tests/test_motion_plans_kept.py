@@ -4,12 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from running import make_lab
 
 from harness.motion_audit import Audit
+from harness.own_workflow import write_own
 from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, transfer
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.prepared_motion import prepared_motion
 
 LAB = load_lab(starter_lab())
 AWAY = ApexPose(np.array([0.2, 0.24, 0.12]))
@@ -60,6 +65,21 @@ def test_a_cell_in_which_something_else_stands_is_planned_anew(tmp_path: Path, s
     planned(tmp_path, LAB.cell.model_copy(update={"geometry": (*LAB.cell.geometry, POST)}))
     assert searches
     assert len(list(tmp_path.glob("*.npz"))) == 2
+
+
+def test_another_lab_of_the_same_cell_searches_for_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searches: list[object]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    for name in ("one", "other"):
+        searches.clear()
+        folder = make_lab(tmp_path / name)
+        (folder / "recipes").mkdir()
+        write_own(folder)
+        lab = load_lab(folder)
+        prepared_motion(make_plan(load_recipe(lab.folder / "recipes" / "one.yaml", lab), lab), lab)
+        assert bool(searches) is (name == "one")
+        assert not (lab.folder / ".scuhand").exists(), "a cache is no state of the lab's"
 
 
 def test_a_plan_that_would_touch_something_is_not_used_whatever_file_it_is_in(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.trajectory import JointTrajectory
 from scuhand_bt.specs import Mortar
 
-GEOMETRIES_KEPT = 16
+GEOMETRIES_KEPT = 32
 """Files, the latest; each takes a megabyte or two."""
 _LIBRARIES = ("coal", "numpy", "pin", "ruckig", "scipy")
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)

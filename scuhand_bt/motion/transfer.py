@@ -83,7 +83,7 @@ class Effort:
 
 
 LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=7, near_optimum=1.66, good_enough=1.07)
-PREPARED = replace(LIVE, schedule_rounds=20, via_rounds=40, idle_rounds=20, changes=10)
+PREPARED = replace(LIVE, schedule_rounds=100, via_rounds=40, idle_rounds=100, changes=20, starts=2)
 """Of loads between places, which are planned before the arm waits for them."""
 POLISHED = Effort(
     schedule_rounds=60,

@@ -1,17 +1,22 @@
 """The motion planner of a plan: all places that its samples use, and the ways between them."""
 
+from pathlib import Path
+
 import numpy as np
+from platformdirs import user_cache_path
 
 from scuhand_bt.cell.places import Position, all_places
-from scuhand_bt.lab import Lab, state_folder
+from scuhand_bt.lab import Lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.patience import LIVE_S
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.run.ways import prepare_ways
 from scuhand_bt.specs import ContainerKind
 
-PLANS = "plans"
-"""In the lab's state: the arm's plans, of which the next run is spared the search."""
+
+def plans_folder() -> Path:
+    """The user's own, for all labs: plans of the arm's, so that the next run in the same geometry searches for none."""
+    return user_cache_path("scuhand_bt") / "plans"
 
 
 def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPlanner:
@@ -33,7 +38,7 @@ def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPl
 def motion_of(plan: Plan, lab: Lab) -> MotionPlanner:
     """The motion planner with every place of the plan, and no way planned yet."""
     mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
-    motion = lab.motion_planner(mortars, state_folder(lab) / PLANS)
+    motion = lab.motion_planner(mortars, plans_folder())
     for name, position_mm in places_of(plan, lab).items():
         motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
     return motion

@@ -190,6 +190,8 @@ def _elsewhere(
         try:
             for name, position_mm in all_places(moved, sources, kinds).items():
                 planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+            for bed_mg in _beds_mg(scooped[0]):  # mostly what fails, and soon known beside all ways between places
+                _stroke(planner, moved, source, bed_mg)
             _ways(planner, plan, moved, kinds, scooped)
         except SkillFailed:
             continue
