@@ -10,7 +10,8 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from conftest import REPOSITORY, Call, LabFolder
@@ -18,8 +19,10 @@ from running import make_lab
 from test_journal import write_run
 from test_journal_store import wait_for
 
+from scuhand_bt.api import Control, Hung
 from scuhand_bt.cli import streams, supervisor
 from scuhand_bt.cli.streams import Beside
+from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.journal.archive import summary
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.store import Store
@@ -281,6 +284,24 @@ def test_a_second_ctrl_c_ends_a_skill_that_hangs_at_once(lab_folder: LabFolder) 
     assert process.returncode == 3
     assert "the skill hanging broke: Hung" in out
     assert ended(recipe) == ("fault", 3)
+
+
+def test_what_ends_a_run_that_hung_is_not_interrupted_in_its_turn() -> None:
+    """It may be at the journal, in the middle of a transaction, and the tick is as silent as before."""
+    session = cast(Any, SimpleNamespace(liveness=Liveness()))
+    session.liveness.beat()
+    watcher = supervisor.Supervisor(Control())
+    watcher.stop()
+
+    def stopped_again() -> None:
+        watcher.stop()
+        time.sleep(supervisor.GRACE_S)
+
+    with watcher.watching(session):
+        time.sleep(1.2 * supervisor.IMPATIENT_S)
+        with pytest.raises(Hung):
+            stopped_again()
+        time.sleep(1.2 * supervisor.IMPATIENT_S)
 
 
 # --- a stream that nobody waits for

@@ -50,16 +50,15 @@ class Supervisor:
 
         The second time at once: what does not answer has no more patience.
 
-        Raises Hung within a run that is silent, KeyboardInterrupt before there is one; after it nothing is to stop.
+        A run that is silent is interrupted by Hung within `LOOK_S`; KeyboardInterrupt before there is one; after it
+        nothing is to stop.
         """
         if not self._control.stops_now:
             self._control.wish("stop_now", who)
         elif self._session is None:
             raise KeyboardInterrupt
         elif not self._is_over:
-            self._limit_s = IMPATIENT_S
-            if self._session.liveness.silent_s > IMPATIENT_S:
-                self._interrupt(signal.SIGALRM, None)
+            self._limit_s = IMPATIENT_S  # who watches interrupts, once: a second time would be in what ends the run
 
     @contextmanager
     def watching(self, session: "Session") -> Iterator[None]:
