@@ -416,9 +416,9 @@ def test_a_killed_host_is_noticed_by_the_controller_and_the_valve_closes(cell: C
         for blow in (signal.SIGSTOP, signal.SIGKILL):
             host.send_signal(blow)
             if blow == signal.SIGSTOP:
-                time.sleep(0.2)
+                time.sleep(0.1)
                 assert cell.valve.vibration == 1.0, "not before its time"
-            wait_for(lambda: cell.valve.vibration == 0.0, timeout_s=0.25)
+            wait_for(lambda: cell.valve.vibration == 0.0, timeout_s=0.2)
             wait_for(lambda: cell.valve.opening_mm < 0.04)
     finally:
         host.kill()
