@@ -15,7 +15,7 @@ from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
-from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion import ApexPose, MotionPlanner, places
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.record import Record
@@ -120,12 +120,15 @@ def test_a_move_into_a_zone_that_another_has_waits_until_it_is_free(bench: Bench
     assert bench.seen[-1][2], "and then it went there"
 
 
-def test_a_move_into_a_zone_that_stays_taken_is_given_up(bench: Bench) -> None:
+def test_a_move_into_a_zone_that_stays_taken_is_given_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_at, search = [], places.solutions
+    monkeypatch.setattr(places, "solutions", lambda *given: (looked_at.append(given), search(*given))[1])
     bench.have_the_pan()
     with pytest.raises(SkillFailed, match=rf"arm.zone_taken: pan not free after {ZONE_TIMEOUT_S:g} s"):
         bench.do(bench.cell.move_to(bench.over))
     assert bench.clock.now_s == pytest.approx(ZONE_TIMEOUT_S, abs=0.2)
     assert not any(moves for _, moves, _ in bench.seen)
+    assert len(looked_at) < 10, "where it cannot stand is found out once, not with each look at the zone"
 
 
 def test_a_motion_planned_before_keeps_the_zone_until_the_arm_is_out_of_it(bench: Bench) -> None:

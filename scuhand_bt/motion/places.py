@@ -47,7 +47,7 @@ class Places:
         """Of places where only an empty cone comes, in what directions the arm comes from and goes to."""
         self._relaxed_rad = RELAXED_RAD if arm is None else arm.relaxed_rad
         self._poses: dict[str, ApexPose] = {}
-        self._postures: Recent[tuple[str, Geometry], Floats] = Recent(POSTURES_KEPT)
+        self._postures: Recent[tuple[str, Geometry], Floats | SkillFailed] = Recent(POSTURES_KEPT)
 
     @property
     def names(self) -> list[str]:
@@ -67,14 +67,20 @@ class Places:
         if name not in self._poses:
             raise KeyError(f"there is no place {name!r}; there are: {', '.join(self._poses) or 'none'}")
 
-        def made() -> Floats:
-            if geometry != geometry.usual:
-                usual = self.posture(name, geometry.usual)
-                if not self._scenes.of(geometry).hits(usual[None, :])[0]:
-                    return usual
-            return self._canonical(name, geometry)
+        def made() -> Floats | SkillFailed:
+            try:
+                if geometry != geometry.usual:
+                    usual = self.posture(name, geometry.usual)
+                    if not self._scenes.of(geometry).hits(usual[None, :])[0]:
+                        return usual
+                return self._canonical(name, geometry)
+            except SkillFailed as failure:  # who waits for a zone asks again and again
+                return failure.with_traceback(None)
 
-        return self._postures.of((name, geometry), made)
+        found = self._postures.of((name, geometry), made)
+        if isinstance(found, SkillFailed):
+            raise SkillFailed(found.code, found.detail)
+        return found
 
     def is_posture(self, q: Floats, geometry: Geometry) -> bool:
         """Whether a configuration is one that the arm takes at a place; no matter what was asked for before."""
