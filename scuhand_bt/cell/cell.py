@@ -326,12 +326,12 @@ class Cell:
         self.right_of_way.crossed()
 
     def _spill_limit_deg(self) -> float | None:
-        """None for an empty cone: it may be tilted as the way demands."""
+        """None for a cone that was seen to be empty: it may be tilted as the way demands."""
         believed = self.believed
         source = self.sources.get(believed.cone_source or "")
         if source is None and believed.has_rest:
             source = next((one for one in self.sources.values() if one.sheet_key == believed.sheet), None)
-        if source is None or (believed.cone_mg <= 0 and not believed.has_rest):
+        if source is None:
             return None
         return carrying_limit_deg(self.spec, source.powder, believed.cone_mg, self.hand.cone_diameter_mm)
 
@@ -340,8 +340,9 @@ def carrying_limit_deg(spec: CellSpec, powder: Powder, load_mg: float, cone_diam
     """The spill angle within which a cone of this rim carries a load of a powder in this cell."""
     cone = Cone(cone_diameter_mm, spec.hand.sheet_radius_mm)
     load_mm3 = min(load_mg / powder.bulk_density_mg_per_mm3, 0.9 * cone.volume_mm3)
-    # In steps of load, so that the same few limits come again and their plans are known already.
-    load_mm3 = math.ceil(load_mm3 / LOAD_STEP_MM3) * LOAD_STEP_MM3
+    # In steps of load, so that the same few limits come again and their plans are known already; and one step at least,
+    # as nobody knows how much a rest is.
+    load_mm3 = max(1, math.ceil(load_mm3 / LOAD_STEP_MM3)) * LOAD_STEP_MM3
     limit_deg = spill_limit_deg(
         cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
     )

@@ -1,16 +1,20 @@
 """Which stroke is made: by what lies in the mortar, and what is wanted in the cone.
 
-A lip that follows the wall at a gap g takes what lies above that, and leaves a layer as thick as the gap, not a level
-bed. So the thickness t of that, across the wall, is where the wall is h high and phi steep
+A lip that follows the wall at a gap takes what lies above that, and leaves a layer, not a level bed. Strokes are
+turned, but their rims are narrower than the bowl, and higher beside the lip: at the share r of the bore the layer is
 
-    t = min(gap, (level - h) cos phi),    level so that  m = density sum(t dA)
+    g = gap + S r^2 where the wall is less steep than the repose rho, else the gap
+
+thick at the most. So its thickness t, across the wall, is where that is h high and phi steep
+
+    t = min(g, (level - h) cos phi),    level so that  m = density sum(t dA)
 
 What has come since lies level on the layer, t = max(t, (level' - h) cos phi), as all of it does in a bed that was never
 scooped from. What has fallen back before lips that left the wall, b in all, lies high up instead, beside the strip of
 the strokes that come, which are turned; on a wall of the attack's slope beta it slides down where that is steeper than
 its repose rho. A stroke with half of its rim e, in a bed of radius r, is expected to push
 
-    density w(e / r) sum(max(0, t - g) dA) + f b,    f = 1 - rho / beta, at least 0.3,
+    density w(e / r) sum(max(0, t - g) dA) + f b,    f = 1 - rho / beta, at least 0.2,
     w(u) = 2 / pi (asin u + u sqrt(1 - u^2)), at most 1
 
 w is the strip's share of a disc. Where the sheet, of radius L, is too large for the bowl, of radius R, the axis leans
@@ -30,10 +34,8 @@ than the lip by no more than
     H = sqrt(2 p V / w / (cot phi + cot rho)),    p = 1 - (phi - beta) / delta, from 0 to 1
 
 The lip leaves the wall before h(phi) + H comes near the edge, over which that would be pushed; where H is 0, a grain
-below it, as beside the lip the rim is higher. What lay on the wall
-stays in the mortar: p cot phi / (cot phi + cot delta) of V, as what is dragged over a sheet is hardly steeper than the
-friction on that (Dahlen, Annu. Rev. Earth Planet. Sci. 18, 1990). No stroke pushes so much that it would have to leave
-the wall before the sheet is level.
+below it, as beside the lip the rim is higher. Of what lies before it there, p V, the share `FALLS_BACK` stays in the
+mortar. No stroke pushes so much that it would have to leave the wall before the sheet is level.
 
 Of a gap of less than a grain, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a
 layer of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
@@ -67,8 +69,9 @@ SWEPT_SHARE = 0.6
 REACHED = 0.85
 """Of what others have left, the share that a stroke that takes all finds: what lies beside its rim it does not. By the
 height field; ours."""
-FOUND_BESIDE = 0.3
-"""Of what has fallen back, the share that a stroke finds at least."""
+FALLS_BACK, FOUND_BESIDE = 0.25, 0.2
+"""Of what lies before a lip that leaves the wall, the share that stays there, 0.24 to 0.33 by the height field in the
+smaller mortar; and of what has fallen back, the share that a stroke finds at least."""
 LOOSE_GRAINS = 0.7
 """Grains whose tops are above the lip go along, and beside a wall grains lie loosely: so much of one, of what is below
 the gap, is not left. By discrete elements beds of 3 to 6 beads were so much thicker than they were heavy."""
@@ -79,6 +82,8 @@ ENDS = 60
 """Places on the wall that are looked at, from the lowest to the edge."""
 SLIPS = 0.033
 """By discrete elements: 1.06 g, where without it 1.48 g were expected of a bowl of 35 mm and a sheet of 50 mm."""
+SIDES_MM = 0.4
+"""S: how much thicker at the bore's edge is what strokes with a gap leave. By the height field."""
 RINGS = 100
 THIN_MM = 0.01
 
@@ -107,6 +112,8 @@ class Bed:
         self._out_mm = (np.arange(RINGS) + 0.5) * half_mm / RINGS
         cosine = np.sqrt(1 - (self._out_mm / radius_mm) ** 2)
         self._area_mm2 = 2 * math.pi * self._out_mm * half_mm / RINGS / cosine
+        stays = self._out_mm < radius_mm * math.sin(math.radians(powder.repose_deg))
+        self._sides_mm = stays * SIDES_MM * (self._out_mm / half_mm) ** 2
 
         def level_mm(level_mm: float) -> Floats:
             thick_mm: Floats = np.maximum(level_mm - radius_mm * (1 - cosine), 0.0) * cosine
@@ -118,7 +125,7 @@ class Bed:
         mass_mg -= self.beside_mg
         self._thick_mm: Floats = np.zeros(RINGS)
         if layer is not None and layer.gap_mm > LIP_GAP_MM:
-            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm), layer.mass_mg)
+            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm + self._sides_mm), layer.mass_mg)
             self._thick_mm *= min(1.0, mass_mg / max(layer.mass_mg, THIN_MM))
         left_mm = self._thick_mm
         self._fill(lambda at_mm: np.maximum(level_mm(at_mm), left_mm), mass_mg)
@@ -142,7 +149,8 @@ class Bed:
 
     def above_mg(self, gap_mm: float, slip_mm: float = 0.0) -> float:
         """What is farther from the wall than that, without what slips past the lip."""
-        above_mm = np.maximum(self._thick_mm - gap_mm, 0.0)
+        left_mm = gap_mm + self._sides_mm if gap_mm > LIP_GAP_MM else gap_mm
+        above_mm = np.maximum(self._thick_mm - left_mm, 0.0)
         return self._mass_mg(above_mm - np.minimum(slip_mm, above_mm / 3))
 
     def _mass_mg(self, thick_mm: Floats) -> float:
@@ -272,9 +280,7 @@ def _falls_back(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """The share of what is pushed that lies on the wall before the lip where that leaves it, below the edge."""
     if math.isinf(stroke.end_mm):
         return 0.0
-    steep = stroke.end_mm / bed.mortar.bowl_radius_mm
-    on_wall, beside = 1 / math.tan(steep), 1 / math.tan(math.radians(bed.powder.wall_friction_deg))
-    return _before_lip(steep, stroke, bed, sheet_radius_mm) * on_wall / (on_wall + beside)
+    return FALLS_BACK * _before_lip(stroke.end_mm / bed.mortar.bowl_radius_mm, stroke, bed, sheet_radius_mm)
 
 
 def _on_grid(length_mm: float, grid_mm: float) -> float:
