@@ -44,6 +44,8 @@ PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
 EVIDENT_S = 0.3
 """What has come no later than this ago still comes."""
+CONFIRMS = 0.75
+"""Of what should have come: less, for the delay and `SEEN_S`, is a weak flow, or a balance that was set slower."""
 FLOWS = 0.2
 """Of its reference: a flow that is at least this strong is what was expected."""
 ALARM = 1.3
@@ -84,7 +86,7 @@ EMPTY_S, DRY_S = 8.0, 60.0
 SCOOPED_ANEW_S = 3.0
 """The same for what is in any case to be scooped for again: less is left than is missing, and has stopped to come."""
 
-Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "rest", "long", "near"]
+Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "rest", "long", "near", "weak"]
 """Why an opening ended."""
 
 
@@ -234,7 +236,7 @@ class Adaptive:
             most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
         reference = known.reference
         limit_mg, period_s = self._lump_mg(), known.request.balance_period_s
-        passed_s = sure_s = missing_mg = 0.0
+        passed_s = sure_s = missing_mg = doubted_s = told_s = told_mg = 0.0
         quiet_s = 2.0 * EVIDENT_S
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
@@ -271,8 +273,15 @@ class Adaptive:
             reading_mg = known.rows[-1].reading_mg
             expected_mg = known.reference * (passed_s - sure_s)
             risen = reading_mg - read_mg > 3.0 * known.rows[-1].noise_mg
-            if risen:
-                came_s = min(came_s, known.time_s)
+            if risen and math.isinf(came_s):
+                came_s, told_s, told_mg, doubted_s = known.time_s, passed_s, mass_mg, 0.0
+            elif mass_mg - told_mg > CONFIRMS * known.reference * (passed_s - told_s):
+                told_s, told_mg, doubted_s = passed_s, mass_mg, 0.0
+            else:
+                doubted_s += dt_s
+            is_first = not self._has_come and bank.surge_mg < LUMPY_MG and most_mg - mass_mg > FAR_MG
+            if is_first and came_s < math.inf and doubted_s > bank.delay_s + SEEN_S:
+                return "weak"
             if risen and mass_mg - sure_mg > FLOWS * expected_mg:
                 if quiet_s > bank.delay_s + 0.5:
                     missing_mg += max(0.0, expected_mg - (mass_mg - sure_mg))
