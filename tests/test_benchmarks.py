@@ -192,15 +192,6 @@ def test_a_mutant_is_the_file_with_that_one_change() -> None:
     assert {mutant.function for mutant in mutants_of(CODE, ["LIMIT_MG", "Pan.clear"])} == {"LIMIT_MG", "Pan.clear"}
 
 
-def test_a_balance_that_turns_four_times_slower_as_a_dose_begins_is_seen_before_it_is_too_late() -> None:
-    """A flow that it shows late looks like a weak one: 1239 mg too much were let out of 3 g."""
-    drawn = draw("beads", shipped_powders(), 12, doses=10, steps=True)[4]
-    assert drawn.later is not None
-    assert drawn.later.delay_s == pytest.approx(4.0 * drawn.balance.delay_s)
-    doses = dosing_random.run_of_doses(drawn, 3000.0, "adaptive", drawn.change_dose + 2)
-    assert max(abs(dose.error_mg) for dose in doses) <= 2.0
-
-
 DEM = json.loads((Path(__file__).parent.parent / "benchmarks" / "dem_results.json").read_text())
 JUDGED = [name for name, row in DEM["cases"].items() if name.endswith(" deg")]
 
