@@ -82,7 +82,7 @@ class SlowerAsItBegins:
         def step(self, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float, rng: Any) -> float:
             if on_pan_mg < 1000.0 or on_pan_mg - self._empty_mg > 10_000.0:
                 self._empty_mg = on_pan_mg
-            lag_s = 0.8 if 1.0 < on_pan_mg - self._empty_mg else 0.2
+            lag_s = 0.8 if on_pan_mg - self._empty_mg > 1.0 else 0.2
             if lag_s != self._figures.lag_s:
                 self._figures = self._figures.model_copy(update={"lag_s": lag_s})
                 self._dt_s = 0.0
