@@ -74,7 +74,7 @@ def test_a_filter_that_changes_within_a_dose_is_learnt_and_nothing_is_overshot(t
 
 
 class SlowerAsItBegins:
-    """A plant whose balance is set from 0.2 to 0.8 s a pole as a dose's first powder lands, and back for a container."""
+    """A plant whose balance goes from 0.2 to 0.8 s a pole as a dose's first powder lands, and back for a container."""
 
     class Response(OurBalanceResponse):
         _empty_mg = 0.0
