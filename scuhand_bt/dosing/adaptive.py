@@ -59,6 +59,8 @@ SLOW_SHARE = 0.5
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, SHAKE_S = 0.7, 3.0, 0.12, 0.8
 """Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share in
 such a time."""
+LUMPS_MISSED = 2.5
+"""So many lumps should have been shaken out, and none has: so narrow an opening lets none through."""
 SPARED_MG = 20.0
 """So near to the target a bridge is broken by shutting and opening the valve, while that helps: what is shaken loose
 may be too much."""
@@ -151,8 +153,9 @@ class Adaptive:
                 known.learn(gained_mg)
             # Lumps come when they will: several openings must have been in vain before they say something of a width.
             little = gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg)
-            in_vain = not came and self._fruitless > 1 if self._is_lumpy else little
-            if in_vain and ended in ("quiet", "fear", "missing"):
+            enough = LUMPS_MISSED / LUMP_SHARE if self._lump_mg() else 2
+            in_vain = not came and self._fruitless >= enough if self._is_lumpy else little
+            if ended in ("quiet", "fear", "missing", "lump") and in_vain:
                 known.little_came()
             self._shake(came)
             gave_out = self._gave_out()
@@ -237,19 +240,20 @@ class Adaptive:
         reference = known.reference
         limit_mg, period_s = self._lump_mg(), known.request.balance_period_s
         passed_s = sure_s = missing_mg = doubted_s = told_s = told_mg = 0.0
-        quiet_s = 2.0 * EVIDENT_S
+        quiet_s = 0.0
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
         stuck_seen_s, came_s, begins_mm = known.time_s + known.seen_s, math.inf, known.begins_mm(most_mg - bank.mass_mg)
         # A lump cannot be let out in part: where it is shaken for, it may come.
-        shaken_mm = min(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.request.max_opening_mm)
+        shaken_mm = max(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.least_mm)
+        shaken_mm = min(shaken_mm, known.request.max_opening_mm)
         opening_mm = math.inf
         if known.aim_mg <= bank.mass_mg:
             return "reached"
         while True:
             wanted_mm = shaken_mm if limit_mg else known.widest_mm(most_mg)
             # What does not come yet, or no more, may come at any moment: no reason to open wider.
-            opening_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
+            opening_mm = min(wanted_mm, opening_mm) if sure_s == 0.0 or quiet_s > EVIDENT_S else wanted_mm
             # Of powder that begins to come late nothing can be seen yet.
             may_stick = not limit_mg and known.time_s < max(stuck_seen_s, came_s + SEEN_S)
             score = yield from known.act(min(opening_mm, begins_mm) if may_stick else opening_mm, self._vibration)

@@ -251,10 +251,14 @@ class Knowledge:
         Nor if the sheet has not stuck, and the flow is as strong as it hardly ever is.
         """
         opening_mm = self.request.max_opening_mm
-        narrowest_mm = self.shape.threshold_mm + self.narrowest_mm
-        while opening_mm > narrowest_mm and self._unseen_mg(opening_mm) > most_mg:
-            opening_mm = max(narrowest_mm, 0.95 * opening_mm)
+        while opening_mm > self.least_mm and self._unseen_mg(opening_mm) > most_mg:
+            opening_mm = max(self.least_mm, 0.95 * opening_mm)
         return opening_mm
+
+    @property
+    def least_mm(self) -> float:
+        """The opening from less than which little comes."""
+        return self.shape.threshold_mm + self.narrowest_mm
 
     def _unseen_mg(self, opening_mm: float) -> float:
         """What an opening may let out before it is seen, where the exponent may be off by as much as it may."""
@@ -343,13 +347,10 @@ class Knowledge:
         no more until then than may come.
         """
         tried_mm = float(max(row.phi_s / row.dt_s for row in self.rows) ** (1.0 / self.shape.exponent))
-        wider_mm = WIDER * max(tried_mm, self.narrowest_mm)
+        wider_mm = min(WIDER * max(tried_mm, self.narrowest_mm), MOST_NARROWEST_MM)
         left_mg = self.most_mg - self.bank.mass_mg
-        if (
-            wider_mm <= MOST_NARROWEST_MM
-            and self.strongest * self.valve.passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg
-        ):
-            self.narrowest_mm = wider_mm
+        if self.strongest * self.valve.passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg:
+            self.narrowest_mm = max(wider_mm, self.narrowest_mm)
 
     @property
     def knows_balance(self) -> bool:
