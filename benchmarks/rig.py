@@ -190,8 +190,7 @@ class Bench:
         believed.brought(DISH, from_changer=True)
         brought_s = self.clock.now_s
         loaded = self.drive(weigh_changed(self.cell, bare.value_mg))
-        self.cell.balance.on_reading = None
-        self.step = shown_step(self.cell, weighing_of(bare), weighing_of(loaded), brought_s)
+        self.step = self.cell.came = shown_step(self.cell, weighing_of(bare), weighing_of(loaded), brought_s)
         believed.placed(weighing_of(bare), weighing_of(loaded))
 
     def drive(self, steps: Steps[T]) -> T:
