@@ -77,9 +77,18 @@ def test_a_step_that_was_not_seen_tells_no_delay(began_s: float) -> None:
 
 
 def test_a_false_line_here_and_there_tells_no_other_delay() -> None:
-    readings = [(t, 1e6 if number % 5 == 0 else mg) for number, (t, mg) in enumerate(curve(two_poles(0.3)))]
+    readings = [(t, 1e6 if number % 5 in (0, 2) else mg) for number, (t, mg) in enumerate(curve(two_poles(0.3)))]
     for latest_s in (CAME_S, math.inf):
         assert delay_s_of(readings, BARE_MG, LOADED_MG, latest_s) == pytest.approx(0.6, abs=0.2)
+
+
+def test_the_peaks_of_a_filter_that_rings_are_kept_as_they_are() -> None:
+    readings = curve(lambda t: 1.0 - math.exp(-0.5 * t) * math.cos(4.0 * t))
+    step = step_of(readings, BARE_MG, LOADED_MG, CAME_S)
+    assert step is not None
+    shown_mg = [mg for t, mg in readings if t > CAME_S + 0.2]
+    missing_mg = [LOADED_MG - share * step.step_mg for share in step.missing][-len(shown_mg) + 2 :]
+    assert missing_mg == pytest.approx(shown_mg[:-2], abs=1.0)
 
 
 def test_no_readings_and_no_step_tell_no_delay() -> None:

@@ -170,4 +170,4 @@ def test_doses_on_a_balance_that_rings_are_good(tmp_path: Path) -> None:
     ringing = next(world for world in WORLDS if world.name == "ringing")
     falsifier.run_once(ringing, "short", 70002, tally)
     assert tally.false_goods == []
-    assert tally.good > tally.doses / 2
+    assert tally.good >= tally.doses - 1

@@ -79,20 +79,27 @@ def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) ->
     """The step between two settled weighings; None where the curve does not show it from its beginning.
 
     The step came at `latest_s`, unless more than `STEP_SHARE` of it was shown earlier: then with the last reading that
-    showed less. Of three readings in a row the middle one counts: a false line among them does no harm.
+    showed less. A false line among the readings does no harm.
     """
     step_mg = after_mg - before_mg
-    triples = zip(curve, curve[1:], curve[2:], strict=False) if step_mg else ()
-    missing = [
-        (now[0], (after_mg - statistics.median((last[1], now[1], following[1]))) / step_mg)
-        for last, now, following in triples
-    ]
+    fives = zip(*(curve[first:] for first in range(5)), strict=False) if step_mg else ()
+    missing = [(five[2][0], (after_mg - _true_mg(*(value_mg for _, value_mg in five))) / step_mg) for five in fives]
     unmoved = [number for number, (_, share) in enumerate(missing) if share > 1.0 - STEP_SHARE]
     if not unmoved or unmoved[-1] == len(missing) - 1:
         return None
     begin_s = min(latest_s, missing[unmoved[-1]][0])
     after = [(time_s - begin_s, share) for time_s, share in missing if time_s > begin_s]
     return Step(step_mg, tuple(time_s for time_s, _ in after), tuple(share for _, share in after))
+
+
+def _true_mg(first_mg: float, last_mg: float, now_mg: float, next_mg: float, later_mg: float) -> float:
+    """The reading of now, no farther beyond those beside it than these are apart from theirs: a false line is.
+
+    A peak of a filter that rings is not, which a median of three would flatten.
+    """
+    farther_mg = min(abs(last_mg - first_mg), abs(later_mg - next_mg))
+    low_mg, high_mg = sorted((last_mg, next_mg))
+    return min(max(now_mg, low_mg - farther_mg), high_mg + farther_mg)
 
 
 def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
