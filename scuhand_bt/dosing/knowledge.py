@@ -349,8 +349,11 @@ class Knowledge:
         tried_mm = float(max(row.phi_s / row.dt_s for row in self.rows) ** (1.0 / self.shape.exponent))
         wider_mm = min(WIDER * max(tried_mm, self.narrowest_mm), MOST_NARROWEST_MM)
         left_mg = self.most_mg - self.bank.mass_mg
-        if self.strongest * self.valve.passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg:
-            self.narrowest_mm = max(wider_mm, self.narrowest_mm)
+        if (
+            tried_mm < MOST_NARROWEST_MM
+            and self.strongest * self.valve.passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg
+        ):
+            self.narrowest_mm = wider_mm
 
     @property
     def knows_balance(self) -> bool:
