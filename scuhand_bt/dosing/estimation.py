@@ -48,6 +48,8 @@ TEMPER = 0.2
 """What a reading tells of the balance, as a share of what it would if errors were independent of each other."""
 CHANGE_S = (0.3, 3.0)
 """A steady flow tells nothing of the balance: means of phi over these times must differ."""
+FREELY = 0.5
+"""Powder that flows with less than this share of what was expected may be held up: bridged, or not primed."""
 LEAST_SPREAD = 0.5
 """Of k, relative to its reference: how unsure it can become while powder flows, at least."""
 EXPONENT_ERROR = 0.5
@@ -227,8 +229,10 @@ class Bank:
         score = float(innovation_mg[best]) / math.sqrt(variance[best])
         if late is not None and k[best] * phi_s[best] > 0.01:
             told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
-            self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, SURPRISING) - AS_EXPECTED))
-            self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
+            more = min(score * score, SURPRISING) - AS_EXPECTED
+            if more > 0.0 or k[best] > FREELY * reference:  # nor does a bridge say that there are none
+                self.surge_mg *= math.exp(SURGE_GAIN * told * more)
+                self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
         # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
         self._weigh(innovation_mg**2 / (float(self.weights @ common) + noise))
         self._tell()

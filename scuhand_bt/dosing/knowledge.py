@@ -16,6 +16,7 @@ from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
 from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream
 from scuhand_bt.dosing.estimation import (
     EXPONENT_ERROR,
+    FREELY,
     OPENING_ERROR_MM,
     UNKNOWN_ERROR_MM,
     UNKNOWN_SPREAD,
@@ -56,8 +57,6 @@ ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
 """How fast it is learnt that predictions are worse than they claim; and the most that one of them tells."""
 DIFFERS = 0.5
 """By how much the flow may differ from what is believed, as a logarithm."""
-FREELY = 0.5
-"""An opening that brought less than this share of what was expected may have been held up: bridged, or not primed."""
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
 """What doses are taken to differ by, at least: until a second one was seen, and ever."""
 SHAKING_NOISE_MG = 0.3
