@@ -254,6 +254,14 @@ def test_lumps_are_learnt_from_a_flow_that_comes_unevenly() -> None:
     assert learnt_mg[0] < 0.3 < learnt_mg[1]
 
 
+def test_a_bridge_says_nothing_of_lumps() -> None:
+    """It stands for a minute of an opening from which nothing comes: lumps of 3 mg are as likely as before."""
+    bank = Bank([Model(0.6, "two poles")], np.ones(1), 3.0, 0.02)
+    bank.restart(0.0, 0.1, FLOW, 0.5)
+    rows = [Row(PERIOD_S, PERIOD_S, 0.0, float(mg), 0.1) for mg in np.random.default_rng(1).normal(0.0, 0.1, 600)]
+    assert seen_by(bank, rows).surge_mg > 1.5
+
+
 def test_what_has_left_in_lumps_is_less_sure_until_it_is_seen() -> None:
     rows, _ = opening(balance("poles", 1.5), 1.5, 0.0)
     fine, lumpy = (Bank([Model(1.5, "two poles")], np.ones(1), surge_mg, 0.02) for surge_mg in (0.05, 5.0))
