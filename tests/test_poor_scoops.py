@@ -221,7 +221,7 @@ defaults: {source: msg, container: alumina_crucible, tolerance: 2 mg}
 samples: [{id: a, mass: 3 g}]
 on_failure: {otherwise: stop}
 """
-    ran = dry_run(tmp_path, recipe, controller="adaptive", seed=5)
+    ran = dry_run(tmp_path, recipe, controller="adaptive", seed=6)
     assert set(ended(ran).values()) == {("in tolerance", None)}
     kinds = [event["kind"] for event in read(ran.journal, "event") if event["kind"] in ("scoop", "returned")]
     assert kinds == ["scoop", "returned", "scoop", "returned"]
