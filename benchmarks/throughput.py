@@ -1,10 +1,11 @@
-"""How long a batch takes at the cell: `python -m benchmarks.throughput [--seeds 20] [--by-hand] [--json FILE]`.
+"""How long a batch takes at the cell: `python -m benchmarks.throughput [--seeds 20] [--by-hand] [--again]`.
 
 Dry runs of `synthesis_batch` and of `xrd_holders` with the shipped lab: seconds of cell time a run and an XRD holder,
-how many of their samples are good, and what the skills took of it. With `--by-hand` a person changes containers. Skills
-that go on beside each other count for each. The processor's time a sample is that of the run alone, as in a study: a
-process prepares the lab and the motions once, and the first run plans on the way what the later ones find; told is the
-median of the runs. Other work on the computer lengthens it by half or more.
+how many of their samples are good, and what the skills took of it. With `--by-hand` a person changes containers; with
+`--again` a run before has learnt what the lots' scoops bring and how they flow, as a real cell keeps it: no load is
+used up to know it. Skills that go on beside each other count for each. The processor's time a sample is that of the run
+alone, as in a study: a process prepares the lab and the motions once, and the first run plans on the way what the later
+ones find; told is the median of the runs. Other work on the computer lengthens it by half or more.
 """
 
 import argparse
@@ -30,10 +31,13 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
+from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
 
 RECIPES = ("synthesis_batch", "xrd_holders")
+AGAIN = 10_000
+"""Added to the seed of the run before."""
 ACTIONS = """
 SELECT json_extract(began.payload, '$.skill'), SUM(ended.time_s - began.time_s)
 FROM entry AS ended JOIN entry AS began ON began.seq = ended.action
@@ -68,16 +72,27 @@ def prepared(folder: Path, name: str) -> tuple[Plan, Lab, MotionPlanner]:
     return plan, lab, prepared_motion(plan, lab)
 
 
-def one_run(folder: Path, name: str, seed: int) -> Ran:
-    """One dry run of it."""
+def _run(folder: Path, name: str, seed: int, runs: str, before: Session | None = None) -> tuple[Session, BatchResult]:
+    """A dry run that knows what the one `before` has learnt of the lots."""
     plan, lab, motion = prepared(folder, name)
+    session = Session(plan, lab, Options(DryRun(seed), None, Path(runs)), motion)
+    if before is not None:
+        session.cell.powder_beliefs = before.cell.powder_beliefs
+        for source, share in before.cell.believed.seen_yields.items():
+            session.cell.believed.scoops_bring(source, share)
+    try:
+        return session, session.run(BatchObserver())
+    finally:
+        session.close()
+
+
+def one_run(folder: Path, name: str, seed: int, *, again: bool) -> Ran:
+    """One dry run of it; the second one of these lots where it is done again."""
+    prepared(folder, name)
     with tempfile.TemporaryDirectory() as runs:
-        session = Session(plan, lab, Options(DryRun(seed), None, Path(runs)), motion)
+        before = _run(folder, name, seed + AGAIN, runs)[0] if again else None
         began_s = time.process_time()
-        try:
-            result = session.run(BatchObserver())
-        finally:
-            session.close()
+        session, result = _run(folder, name, seed, runs, before)
         cpu_s = time.process_time() - began_s
         with open_journal(session.journal.path) as (database, _):
             skills_s = dict(database.execute(ACTIONS).fetchall())
@@ -142,6 +157,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--recipes", nargs="+", default=RECIPES)
     parser.add_argument("--by-hand", action="store_true")
+    parser.add_argument("--again", action="store_true", help="a run before has learnt of these lots")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     seeds = range(options.first, options.first + options.seeds)
@@ -149,7 +165,7 @@ def main() -> None:
     context = multiprocessing.get_context("spawn")
     with lab_of(by_hand=options.by_hand) as folder, ProcessPoolExecutor(options.workers, mp_context=context) as pool:
         for name in options.recipes:
-            figures |= tell(name, list(pool.map(partial(one_run, folder, name), seeds)))
+            figures |= tell(name, list(pool.map(partial(one_run, folder, name, again=options.again), seeds)))
     goals = {
         "synthesis_batch_worst_s": "<= 2700" if options.by_hand else "<= 900",
         "synthesis_batch_not_good": "0",

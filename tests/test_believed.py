@@ -312,29 +312,34 @@ def test_a_load_that_gives_more_than_it_should_holds_some_more_until_it_gives_ou
     assert believed.cone_mg == 8000.0
 
 
-@pytest.mark.parametrize(("came_mg", "told"), [(1900.0, 1900.0 / 0.85 / 4000.0), (2100.0, None)])
+@pytest.mark.parametrize(
+    ("came_mg", "told"), [(1900.0, 1900.0 / 0.85 / 4000.0), (2100.0, 1.0), (4300.0, 4300.0 / 4000.0)]
+)
 def test_a_load_whose_rest_comes_only_shaken_tells_a_poor_scoop_where_that_began_before_half_of_it(
-    came_mg: float, told: float | None
+    came_mg: float, told: float
 ) -> None:
     believed = Believed()
     believed.scooped(BEADS, 4000.0)
     believed.dosing_ended(came_mg, 0.0)
     believed.rest_left()
-    assert believed.yields == ({"beads": pytest.approx(told)} if told is not None else {})
+    assert believed.seen_yields == {"beads": pytest.approx(told)}
 
 
-def test_the_rest_of_a_load_that_was_larger_than_thought_tells_how_large() -> None:
+@pytest.mark.parametrize(("came_mg", "told"), [(4900.0, 4900.0 / 4000.0), (5100.0, 5100.0 / 0.85 / 4000.0)])
+def test_the_rest_of_a_load_of_which_far_more_came_than_was_thought_tells_how_large_it_was(
+    came_mg: float, told: float
+) -> None:
     believed = Believed()
     believed.scooped(BEADS, 4000.0)
-    believed.dosing_ended(5000.0, 0.0)
+    believed.dosing_ended(came_mg, 0.0)
     believed.rest_left()
-    assert believed.yields == {"beads": pytest.approx(5000.0 / 0.85 / 4000.0)}
+    assert believed.yields == {"beads": pytest.approx(told)}
 
 
 @pytest.mark.parametrize(
     ("shaken_mg", "rest", "there_mg"),
     [
-        (100.0, {}, None),  # a drop that hung
+        (100.0, {}, 4000.0),  # a drop that hung: it is what it was thought to be
         (300.0, {"beads": 0.1 + 0.4 / 3}, 2700.0 / (1.0 - 0.1 - 0.4 / 3)),  # more would have come
         (1200.0, {"beads": 0.4 + 0.1 / 3}, 1800.0 / (1.0 - 0.4 - 0.1 / 3)),
         (1600.0, {}, None),  # it bridges

@@ -74,17 +74,23 @@ class Load:
         return seen if known is not None else seen + (MOST_REST - seen) / 3
 
     def at_rest_mg(self, held_mg: float, shaken_share: float | None) -> float | None:
-        """What was in it, of one whose rest is left; None where that cannot be told.
+        """What was in it, of one whose rest is left, with `held_mg` believed in it; None where it bridges, or no scoop
+        tells.
 
-        `shaken_share` is what loads of its source leave at least as their rest, None where none was seen; then only one
-        tells something that began long before it should have, with `held_mg` believed in it, or gave more.
+        `shaken_share` is what loads of its source leave at least as their rest, None where none was seen; then one that
+        began long before it should have is a poorer load, and one of which far more has come a larger one. Any other
+        is what it was thought to be: that one is less tells itself, as it gives out before a dose is full.
         """
         if self.scooped_mg == 0.0 or self.is_barren:
             return None
         if shaken_share is not None and self.flowed_mg > 0.0:
             return max(self.came_mg, self.flowed_mg / (1.0 - shaken_share))
         is_poor = self.came_mg < POOR_REST * (self.came_mg + held_mg)
-        return self.came_mg / (1.0 - REST_SHARE) if is_poor or self.is_larger else None
+        if is_poor or self.scoops_share > 1.0 + AS_EXPECTED:
+            return self.came_mg / (1.0 - REST_SHARE)
+        if 0.0 < self.flowed_mg < (1.0 - MOST_REST) * self.came_mg:
+            return None
+        return self.came_mg if self.is_larger else self.came_mg + held_mg
 
     def may_be_used_up(self, wanted_mg: float, held_mg: float, share: float | None) -> bool:
         """Whether a dose goes on with it until it gives out, whatever is believed to be left (`held_mg`): nothing else
