@@ -87,8 +87,12 @@ class Slower:
         return self.Response(spec, self.lag_s)
 
 
+class MuchSlower(Slower):
+    lag_s = 2.5
+
+
 class FarSlower(Slower):
-    lag_s = 1.8
+    lag_s = 3.5
 
 
 class LittleSlower(Slower):
@@ -150,7 +154,7 @@ def test_slower_is_a_quarter_more_than_was_measured_or_else_learnt_and_a_person_
 
 @pytest.mark.parametrize(
     ("by_hand", "delay_s", "refused"),
-    [(False, 3.29, False), (False, 3.31, True), (True, 4.29, False), (True, 4.31, True)],
+    [(False, 6.29, False), (False, 6.31, True), (True, 7.29, False), (True, 7.31, True)],
 )
 def test_a_delay_beyond_what_can_be_dosed_with_is_refused(
     sound: Cell, by_hand: bool, delay_s: float, refused: bool
@@ -182,7 +186,15 @@ def test_a_balance_too_slow_to_dose_with_is_refused_before_powder_falls(tmp_path
     assert ran.sample("a").true_mg == pytest.approx(500.0, abs=3.0)
     assert [sample.code for sample in ran.result.samples][1:] == 3 * ["balance.slow"]
     assert [ran.sample(name).true_mg for name in "bcd"] == [0.0, 0.0, 0.0]
-    assert "it showed the container 3.6 s late; up to 3.2 s are dosed with" in (ran.sample("b").detail or "")
+    assert "it showed the container 7.0 s late; up to 6.2 s are dosed with" in (ran.sample("b").detail or "")
+
+
+def test_a_balance_that_is_set_to_five_seconds_is_dosed_with(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, RECIPE, plant=f"{__name__}:MuchSlower", controller="adaptive")
+    assert told(ran, "container")[1]["delay_s"] == pytest.approx(5.0, abs=0.3)
+    for sample in ran.result.samples:
+        assert sample.true_mg == pytest.approx(sample.target_mg, abs=sample.tolerance_mg)
+    assert [ran.sample(name).is_good for name in "cd"] == [True, True]
 
 
 def test_a_sound_balance_and_one_that_is_a_little_slower_change_nothing(tmp_path: Path) -> None:

@@ -134,7 +134,7 @@ class RightOfWay:
             result = yield from steps
         return result
 
-    def stable_mean(self) -> Steps[StableMean]:
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
         """The balance's stable mean while arm and hand stand still; what they have disturbed all the same begins again.
 
         They need not until the balance calls a reading stable. SkillFailed balance.unstable where they do not come to
@@ -144,7 +144,7 @@ class RightOfWay:
         with self._hushed():
             while True:
                 yield from self._stillness()
-                weighing = self._cell.balance.stable_mean()
+                weighing = self._cell.balance.stable_mean(timeout_s)
                 try:
                     while self._is_still:
                         try:

@@ -27,6 +27,8 @@ WATCHED = 5
 CREEP_DIGITS = 5.0
 """So far a filter of a second may still creep when the changer begins to change the load again."""
 
+RESTS_S = 60.0
+"""A container of 25 g comes to rest, to 0.1 mg, within this: on two poles of 3 s after 47 s."""
 CHANGED_MG = 50.0
 """Every container weighs more, and no draught pushes so hard."""
 SLOWER = 1.25
@@ -131,7 +133,7 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
         if abs(reading.value_mg - was_mg) > CHANGED_MG:
             break
     shown_s = cell.clock.now_s
-    mean = yield from cell.right_of_way.stable_mean()
+    mean = yield from cell.right_of_way.stable_mean(RESTS_S)
     took_s = mean.time_s - shown_s
     if took_s > QUICK_S:
         took_s = min(took_s, _stable_s(cell, shown_s) - shown_s)
