@@ -24,8 +24,8 @@ from typing import NamedTuple
 from scuhand_bt.dosing.verdict import COVERAGE
 
 LONGEST_DELAY_S = 6.2
-"""Of a balance that the controllers can dose with: slower ones show too late what a valve has let out. Filters of 6 s and
-a reading more; the bank of the controller knows delays to 8 s."""
+"""Of a balance that the controllers can dose with: slower ones show too late what a valve has let out. Filters of 6 s,
+and a reading or two more; the bank of the controller knows delays to 8 s."""
 USP_SHARE = 0.001
 USP_LEAST_DIGITS = 0.41
 MARGIN = 2.0
