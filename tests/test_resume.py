@@ -189,9 +189,9 @@ tree:
   sequence:
     - place_container: {container: $container}
     - tare:
-    - fill: {source: $first, container: $container, mass: $mass}
+    - fill: {source: $first, container: $container, mass: $mass, tolerance: 10 mg}
     - change_powder: {source: $first}
-    - fill: {source: $second, container: $container, mass: $mass}
+    - fill: {source: $second, container: $container, mass: $mass, tolerance: 10 mg}
     - cone_holds: {powder: $first.powder}   # which it does not
 """
 

@@ -66,7 +66,7 @@ class Shown:
         )
         self.cell.right_of_way = RightOfWay(self.cell)
 
-    def stable_mean(self) -> Steps[StableMean]:
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
         self.now_s += self._takes_s
         self.times_s.append(self.now_s)
         self.done.append("weighed")
@@ -360,7 +360,7 @@ def creeping(shown_s: float) -> float:
 
 def test_a_balance_that_took_long_to_be_stable_is_weighed_until_it_creeps_no_more() -> None:
     class SlowOnce(Shown):
-        def stable_mean(self) -> Steps[StableMean]:
+        def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
             mean = yield from super().stable_mean()
             self._takes_s = 1.0  # stable once, it stays so
             return mean
