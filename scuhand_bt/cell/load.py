@@ -24,7 +24,7 @@ SHAKEN_SHARE, MOST_REST = 0.05, 0.5
 a load: its powder bridges."""
 POOR_REST, REST_SHARE = 0.5, 0.15
 """A load of which less than this share has come, of what was thought to be in it, and what is left comes only shaken,
-was a poorer one: it held what has come, and this share as its rest. So did one of which more has come than was thought.
+was a poorer one: it held what has come, and this share as its rest. So did one of which far more has come than should.
 In dry runs rests were 0.02 of loads of beads, and 0 to 0.35 of MSG."""
 
 
@@ -88,7 +88,7 @@ class Load:
         is_poor = self.came_mg < POOR_REST * (self.came_mg + held_mg)
         if is_poor or self.scoops_share > 1.0 + AS_EXPECTED:
             return self.came_mg / (1.0 - REST_SHARE)
-        if 0.0 < self.flowed_mg < (1.0 - MOST_REST) * self.came_mg:
+        if self.flowed_mg > 0.0 and self.shaken_share is None:
             return None
         return self.came_mg if self.is_larger else self.came_mg + held_mg
 
