@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.cell.believed import Believed
-from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, Layer, chosen, expected_mg, layer_left, most_mg
+from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, Layer, chosen, expected_mg, layer_left, most_mg, require_level
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, least_attack_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import HeightField
@@ -222,6 +222,16 @@ def test_the_more_is_pushed_the_earlier_the_lip_leaves_the_wall_but_not_before_t
     little = chosen(Bed(MORTAR, 4000.0, BEADS), SHEET_MM, math.inf)
     below_edge_mm = MORTAR.depth_mm - Vessel.of(MORTAR).wall(np.array([little.end_mm]))[1][0]
     assert 1.0 <= below_edge_mm < 1.8, "it slides into the cone before; the rim is higher"
+
+
+@pytest.mark.parametrize(("bore_mm", "depth_mm"), [(30.0, 10.0), (50.0, 17.0), (120.0, 10.0)])
+def test_a_bowl_in_which_the_sheet_is_never_level_is_refused(bore_mm: float, depth_mm: float) -> None:
+    """Too small for the sheet, or shallower than the attack is steep: no gap is deep enough."""
+    bowl = Mortar(name="bowl", bore_mm=bore_mm, depth_mm=depth_mm, height_mm=45.0, outer_diameter_mm=bore_mm + 10.0)
+    with pytest.raises(NoStrokeError, match="before the sheet is level; take a deeper mortar"):
+        chosen(Bed(bowl, 2000.0, BEADS), SHEET_MM, 4750.0)
+    with pytest.raises(NoStrokeError, match="before the sheet is level"):
+        require_level(bowl, SHEET_MM)
 
 
 def test_of_what_lay_before_a_lip_that_left_the_wall_some_is_not_expected() -> None:

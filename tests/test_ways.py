@@ -60,6 +60,18 @@ def test_a_mortar_over_which_the_arm_can_stand_but_in_which_it_can_make_no_strok
     assert problem.mark.line == line_with(lab, "mortar_bay: ")
 
 
+def test_a_mortar_that_cannot_be_scooped_from_anywhere_is_told_where_the_recipe_names_it(lab: LabFolder) -> None:
+    """No other place for its station helps, so none is looked for."""
+    dish = "bore: 120 mm, depth: 10 mm, height: 45 mm, outer_diameter: 130 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  dish: {{{dish}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
+    (problem,) = found(lab, "no-path")
+    assert problem.message.endswith("take a deeper mortar, or a larger one")
+    assert problem.mark.file == str(recipe)
+    assert "container: dish" in recipe.read_text().splitlines()[problem.mark.line - 1]
+
+
 @pytest.mark.parametrize(
     ("said", "told"),
     [

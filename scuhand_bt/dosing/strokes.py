@@ -191,7 +191,8 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
 def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
     """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be.
 
-    NoStrokeError where grains are so coarse that all that may be taken is less than one of them is thick.
+    NoStrokeError where grains are so coarse that all that may be taken is less than one of them is thick, and where the
+    bowl is so shallow, or so small for the sheet, that the lip leaves it before the sheet is level, whatever is taken.
     """
     deepest = across(bed.mortar, bed.radius_mm, sheet_radius_mm)
     swept_mm = SWEPT_SHARE * bed.mortar.bowl_radius_mm * math.asin(bed.mortar.bore_mm / 2 / bed.mortar.bowl_radius_mm)
@@ -200,15 +201,18 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
 
     def first(strokes: Iterable[Stroke]) -> Stroke:
         ended = (_ended(stroke, bed, sheet_radius_mm) for stroke in strokes)
-        return next(
-            stroke
-            for stroke in ended
-            if stroke.end_mm >= level_mm and most_mg(stroke, bed, sheet_radius_mm) <= wanted_mg
-        )
+        for stroke in ended:
+            if stroke.end_mm >= level_mm and most_mg(stroke, bed, sheet_radius_mm) <= wanted_mg:
+                return stroke
+        raise _never_level(bed.mortar, sheet_radius_mm)
 
     def layered(grains: float) -> Iterator[Stroke]:
-        clear = math.ceil(grains * bed.powder.grain_mm / GAP_GRID_MM)
-        return (replace(deepest, gap_mm=steps * GAP_GRID_MM) for steps in count(clear))
+        """Up to the first that leaves all that lies there: what comes after it is the same."""
+        for steps in count(math.ceil(grains * bed.powder.grain_mm / GAP_GRID_MM)):
+            stroke = replace(deepest, gap_mm=steps * GAP_GRID_MM)
+            yield stroke
+            if bed.above_mg(_left_mm(stroke, bed.powder)) <= 0.0:
+                return
 
     stroke = first(chain([whole], layered(GRAINS_CLEAR)))
     little_mg = LITTLE_SHARE * min(wanted_mg, bed.mass_mg)
@@ -220,6 +224,22 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
             f"no more than {wanted_mg / 1000:.1f} g may be taken at once"
         )
     return stroke
+
+
+def require_level(mortar: Mortar, sheet_radius_mm: float) -> None:
+    """NoStrokeError for a bowl that the lip leaves before the sheet is level, however little it takes."""
+    edge = math.acos(1 - max(0.0, mortar.depth_mm - NEAR_EDGE_MM) / mortar.bowl_radius_mm)
+    if math.degrees(edge) < _attack_deg(across(mortar, 0.0, sheet_radius_mm), mortar, sheet_radius_mm):
+        raise _never_level(mortar, sheet_radius_mm)
+
+
+def _never_level(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
+    attack_deg = _attack_deg(across(mortar, 0.0, sheet_radius_mm), mortar, sheet_radius_mm)
+    edge_deg = math.degrees(math.asin(mortar.bore_mm / 2 / mortar.bowl_radius_mm))
+    return NoStrokeError(
+        f"a sheet of {sheet_radius_mm:g} mm meets the bowl's wall at {attack_deg:.0f} deg, which is {edge_deg:.0f} deg "
+        f"steep at its edge: the lip comes near that before the sheet is level; take a deeper mortar, or a larger one"
+    )
 
 
 def across(mortar: Mortar, bed_radius_mm: float, sheet_radius_mm: float) -> Stroke:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from scuhand_bt.cell.scooping import planned_stroke
-from scuhand_bt.dosing.strokes import across
+from scuhand_bt.dosing.strokes import across, require_level
 from scuhand_bt.dosing.swing import Ladle, NoStrokeError, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
@@ -51,6 +51,7 @@ def _looked_at(planner: "MotionPlanner", lab: Lab, station: str, mortar: Mortar,
     for tilt_deg in TILTS_DEG:
         stroke = widest.turned(heading_deg, tilt_deg)
         try:
+            require_level(mortar, hand.sheet_radius_mm)
             path = stroke_path(Vessel.of(mortar), stroke, Ladle.of(hand))
             motion = planned_stroke(planner, planner.home(), path, lab.cell, station, mortar)
         except (NoStrokeError, SkillFailed) as error:

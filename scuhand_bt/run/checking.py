@@ -212,7 +212,7 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
         _warn_of_strain(strained, lab, problems)
         return
     from scuhand_bt.run.prepared_motion import prepared_motion
-    from scuhand_bt.run.ways import MortarStandsBadly
+    from scuhand_bt.run.ways import MortarCannotBeScooped, MortarStandsBadly
 
     try:
         strained = _strained(prepared_motion(plan, lab, for_real=True))
@@ -221,6 +221,8 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
     except MortarStandsBadly as failure:
         mark = cell_mark(lab, "stations", failure.station, "position")
         problems.found.append(Problem(mark, failure.detail, "no-path"))
+    except MortarCannotBeScooped as failure:
+        problems.found.append(Problem(plan.recipe.marks[f"sources.{failure.source}"], failure.detail, "no-path"))
     except SkillFailed as failure:
         blocked = list(_blocked(plan, lab)) or [Problem(cell_mark(lab), failure.detail, "no-path")]
         problems.found += blocked

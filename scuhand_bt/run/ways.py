@@ -46,14 +46,25 @@ class MortarStandsBadly(SkillFailed):
         self.station = station
 
 
+class MortarCannotBeScooped(SkillFailed):
+    """Wherever it stands, what lies in this `source` cannot be scooped."""
+
+    def __init__(self, source: str, why: str) -> None:
+        super().__init__(Code.ARM_NO_PATH, f"'{source}' cannot be scooped from: {why}")
+        self.source = source
+
+
 def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind]) -> None:
     """Plan all of them; SkillFailed arm.* for one that there is not.
 
-    MortarStandsBadly says where that mortar might stand instead: what is proposed has all the ways.
+    MortarStandsBadly says where that mortar might stand instead: what is proposed has all the ways. No place helps
+    where MortarCannotBeScooped is raised.
     """
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
     try:
         _ways(motion, plan, cell, kinds, scooped)
+    except MortarCannotBeScooped:
+        raise
     except SkillFailed as failure:
         badly = [demand for demand in scooped if _stands_badly(motion, cell, kinds, demand)]
         if not badly:
@@ -138,12 +149,12 @@ def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float
 
 
 def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
-    """Empty where one is possible. SkillFailed where none is of what lies there, wherever it stands."""
+    """Empty where one is possible. MortarCannotBeScooped where none is of what lies there, wherever it stands."""
     hand, mortar = cell.hand, source.mortar
     try:
         stroke = chosen(Bed(mortar, bed_mg, source.powder), hand.sheet_radius_mm, source.powder.load_limit_mg)
     except NoStrokeError as error:
-        raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
+        raise MortarCannotBeScooped(source.name, str(error)) from None
     x_mm, y_mm, _ = cell.stations[source.station].position_mm
     across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
     begin, why = motion.standing_at(source.station), ""
