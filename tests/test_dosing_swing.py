@@ -133,6 +133,24 @@ def test_no_part_of_the_sheet_enters_the_wall(stroke: Stroke) -> None:
         assert (inside_mm[low & ~is_outside] >= -0.2).all()
 
 
+@pytest.mark.parametrize(("bore_mm", "depth_mm", "outer_mm"), [(104.0, 47.0, 112.0), (127.0, 52.5, 135.0)])
+def test_the_edge_of_a_large_deep_bowl_comes_between_no_points_of_the_sheet(
+    bore_mm: float, depth_mm: float, outer_mm: float
+) -> None:
+    """It stands where the cone is turned upright, and is a corner: the sheet is clear on either side of it."""
+    bowl = Vessel.bowl(bore_mm, depth_mm, outer_mm)
+    path = stroke_path(bowl, Stroke(92.0, 80.0, begin_mm=-44.0), LADLE)
+    around = np.linspace(0.0, 2 * math.pi, 73)
+    edge_mm = np.stack([bore_mm / 2 * np.cos(around), bore_mm / 2 * np.sin(around), np.full(73, depth_mm)], axis=1)
+    for apex_mm, axis, rim_mm in zip(path.apex_mm, path.axis, path.rim_mm, strict=True):
+        alpha = math.asin(rim_mm / 100.0)
+        from_apex_mm = edge_mm - apex_mm
+        away_mm = np.linalg.norm(from_apex_mm, axis=1)
+        off = np.arccos(np.clip(from_apex_mm @ axis / away_mm, -1.0, 1.0)) - alpha
+        inside_mm = away_mm * np.sin(-off)
+        assert (inside_mm[(away_mm < 45.0) & (abs(off) < 0.5)] <= 0.2).all()
+
+
 def test_a_stroke_comes_in_from_above_and_ends_upright_above_the_edge() -> None:
     path = stroke_path(AGATE, Stroke(82.0, 74.0, -28.0, heading_deg=130.0), LADLE)
     for end in (0, -1):

@@ -66,6 +66,8 @@ ENTRIES = 5
 """Ways in that are tried, from the first generator's to straight down."""
 LEVEL_ENTRY = 0.2
 """Sine of the flattest way in."""
+AROUND_EDGE = 37
+"""Points of half of the vessel's edge, inside and outside."""
 EVENED_MM = 8.0
 """The lip's way over which a change of the attack is spread, before and behind."""
 SLACK_MM = 0.05
@@ -236,6 +238,10 @@ class _Flat:
         around = np.linspace(0.0, math.pi, 13)
         self._around = np.stack([np.cos(around), np.sin(around)], axis=1)
         self._shares = np.array([0.25, 0.5, 0.75, 0.9, 1.0])
+        half = np.linspace(0.0, math.pi, AROUND_EDGE)
+        flat = np.stack([np.cos(half), np.sin(half), np.zeros(AROUND_EDGE)], axis=1)
+        up = np.array([0.0, 0.0, vessel.depth_mm])
+        self._edge_mm = np.concatenate([vessel.bore_mm / 2 * flat + up, vessel.outer_mm / 2 * flat + up])
 
     # Along the wall ---------------------------------------------------------------------------------
 
@@ -374,7 +380,20 @@ class _Flat:
     def _clear(self, pose: _Pose, *, with_handle: bool = False) -> bool:
         """Whether apex and sheet, and the handle, keep from the vessel what they are to keep."""
         points, kept_mm = self._points(pose, with_handle)
-        return bool((self._vessel.clearance_mm(points) >= kept_mm).all())
+        if not (self._vessel.clearance_mm(points) >= kept_mm).all():
+            return False
+        return not with_handle or self._from_edge_mm(pose) >= min(self._stroke.gap_mm, 0.0) - SLACK_MM
+
+    def _from_edge_mm(self, pose: _Pose) -> float:
+        """How far the sheet is from the vessel's edge, which may come between its points; negative within the cone."""
+        slant_mm, alpha = self._ladle.slant_mm, _half_angle_rad(pose.rim_mm, self._ladle.slant_mm)
+        from_apex_mm = self._edge_mm - np.array([pose.apex_mm[0], 0.0, pose.apex_mm[1]])
+        along_mm = from_apex_mm @ np.array([math.sin(pose.tilt_rad), 0.0, math.cos(pose.tilt_rad)])
+        aside_mm = np.sqrt(np.maximum((from_apex_mm**2).sum(axis=1) - along_mm**2, 0.0))
+        on_slant_mm = along_mm * math.cos(alpha) + aside_mm * math.sin(alpha)
+        off_mm = aside_mm * math.cos(alpha) - along_mm * math.sin(alpha)
+        beside = (on_slant_mm > 0.0) & (on_slant_mm < slant_mm) & (along_mm < slant_mm * math.cos(alpha))
+        return float(off_mm[beside].min(initial=math.inf))
 
     def _points(self, pose: _Pose, with_handle: bool) -> tuple[Floats, Floats]:
         """Points of cone and handle (m, 3), y across the swing, and how far each is to be from the vessel (m,)."""
