@@ -63,7 +63,7 @@ def forget(
     loaded = the_lab(lab or context.obj)
     state = lab_state(loaded)
     lots = state.forget_powders(name)
-    if not lots and name not in loaded.library.powders:
+    if not lots and name not in {*loaded.library.powders, *state.powders(simulated=True)}:
         raise unknown("powder lot", name, [*loaded.library.powders, *state.powders(simulated=False)])
     out.print(Text(f"Forgotten: {', '.join(lots)}." if lots else f"Nothing was learnt of '{name}' on real devices."))
 
