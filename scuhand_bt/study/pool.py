@@ -3,8 +3,9 @@
 import multiprocessing
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
+from threading import Thread
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.study.store import Store
@@ -15,11 +16,16 @@ from scuhand_bt.study.trial import Task, Trial, trials
 def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
     """So many new processes, as many as there are cores if None; or the Dask scheduler at an address.
 
-    SourceError where Dask is not installed or does not answer.
+    SourceError where Dask is not installed or does not answer, and where one of the processes was killed.
     """
     if dask is None:
-        with ProcessPoolExecutor(workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")) as pool:
-            yield pool
+        many, spawn = workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")
+        try:
+            with ProcessPoolExecutor(many, spawn, _end_with_parent) as pool:
+                yield pool
+        except BrokenExecutor:
+            problem = f"one of {many} processes was killed, as for want of memory: take fewer, and try again"
+            raise SourceError([Problem(Mark("--workers", 0), problem)]) from None
         return
     try:
         from distributed import Client
@@ -32,6 +38,18 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
         raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
     with client, client.get_executor() as pool:
         yield pool
+
+
+def _end_with_parent() -> None:
+    """In a process of the pool: it would wait for ever for work from a program that was killed."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def end() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=end, daemon=True).start()
 
 
 def all_trials(tasks: Iterable[Task], executor: Executor, store: Store | None = None) -> Iterator[tuple[Task, Trial]]:
