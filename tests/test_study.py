@@ -8,9 +8,11 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from concurrent.futures import Executor, Future
+from concurrent.futures import CancelledError, Executor, Future
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -189,6 +191,17 @@ def test_errors_are_the_same_in_another_process() -> None:
 def test_a_process_that_is_killed_ends_the_study_in_words() -> None:
     with pytest.raises(SourceError, match="one of 1 processes was killed"), executor_of(1, None) as executor:
         executor.submit(os.kill, executor.submit(os.getpid).result(), signal.SIGKILL).result()
+
+
+def test_a_cluster_that_goes_away_ends_the_study_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = MagicMock()
+    client.__exit__.return_value = client.get_executor().__exit__.return_value = False
+    killed = type("KilledWorker", (Exception,), {})
+    fake_dask = SimpleNamespace(Client=lambda *asked, **how: client, KilledWorker=killed)
+    monkeypatch.setitem(sys.modules, "distributed", fake_dask)
+    for error in (CancelledError, killed):
+        with pytest.raises(SourceError, match="--dask tcp://x: the cluster was lost"), executor_of(None, "tcp://x"):
+            raise error
 
 
 def test_the_processes_of_a_study_that_is_killed_end_too(tmp_path: Path) -> None:

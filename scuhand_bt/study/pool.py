@@ -3,7 +3,7 @@
 import multiprocessing
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from threading import Thread
 
@@ -16,7 +16,7 @@ from scuhand_bt.study.trial import Task, Trial, trials
 def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
     """So many new processes, as many as there are cores if None; or the Dask scheduler at an address.
 
-    SourceError where Dask is not installed or does not answer, and where one of the processes was killed.
+    SourceError where Dask is not installed, does not answer or goes away, and where one of the processes was killed.
     """
     if dask is None:
         many, spawn = workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")
@@ -28,7 +28,7 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
             raise SourceError([Problem(Mark("--workers", 0), problem)]) from None
         return
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
 
         client = Client(dask, timeout="10s")
     except (ImportError, OSError, ValueError) as error:
@@ -36,8 +36,12 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
             f"no Dask scheduler: {error}; `pip install 'scuhand-bt[dask]'`, and start `dask scheduler` and workers"
         )
         raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
-    with client, client.get_executor() as pool:
-        yield pool
+    try:
+        with client, client.get_executor() as pool:
+            yield pool
+    except (CancelledError, KilledWorker) as error:
+        problem = f"the cluster was lost ({type(error).__name__}); the same command goes on with what was kept"
+        raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
 
 
 def _end_with_parent() -> None:
