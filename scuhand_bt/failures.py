@@ -78,6 +78,10 @@ class SkillFailed(Exception):  # noqa: N818 - it reads as the sentence it is rai
         self.code = str(code)
         self.detail = detail
 
+    def __reduce__(self) -> tuple[type["SkillFailed"], tuple[str, str]]:
+        """From one process to another: by what happened, not by its text."""
+        return SkillFailed, (self.code, self.detail)
+
 
 CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_NO_PATH: Failure(

@@ -46,6 +46,10 @@ class SourceError(Exception):
         self.problems = sorted(dict.fromkeys(problems), key=lambda p: (p.mark.file, p.mark.line, p.mark.column))
         super().__init__("\n".join(map(str, self.problems)))
 
+    def __reduce__(self) -> tuple[type["SourceError"], tuple[list[Problem]]]:
+        """From one process to another: by what was found, not by its text."""
+        return SourceError, (self.problems,)
+
 
 @dataclass
 class Problems:

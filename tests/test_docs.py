@@ -145,7 +145,9 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         assert (x_mm, y_mm, z_mm) == pytest.approx((339.1, -8.0, 60.4))
     elif kind == "design":
         vary = lab_folder.write("vary.yaml", text)
-        assert read_vary(vary).changes()
+        crucibles = (REPOSITORY / "recipes" / "crucibles.yaml").read_text(encoding="utf-8")
+        recipe = lab_folder.write("crucibles.yaml", f"{crucibles}\ncontroller: adaptive\n")
+        assert read_vary(vary, recipe, lab_folder.folder).changes()
     else:
         assert kind == "notify", "an example of a new kind: say here how it is read"
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")

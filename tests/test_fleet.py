@@ -328,6 +328,10 @@ def test_a_database_that_is_not_there_is_said_with_where_and_what_to_read(comman
         assert "the queue's database (host=127.0.0.1 port=1)" in err
         assert "Connection refused" in err
         assert err.strip().endswith("docs/fleet.md sets it up")
+    for database in ("postgresql://me:sesame@127.0.0.1:1/q", "host=127.0.0.1 port=1 dbname=q user=me password=sesame"):
+        err = command("queue", "--database", database).stderr
+        assert "sesame" not in err
+        assert all(part in err for part in ("user=me", "dbname=q", "host=127.0.0.1", "port=1"))
 
 
 # --- stations, with runs in programs of their own
@@ -510,6 +514,9 @@ def test_commands_submit_list_and_cancel(database: str, tmp_path: Path, command:
     assert "SIMULATED" in command("queue", *where).stdout
     assert command("cancel", 1, *where).returncode == 0
     assert command("cancel", 1, *where).returncode == 2
+    (job,) = json.loads(command("queue", "--all", "--json", *where).stdout)
+    assert (job["status"], job["is_to_stop"]) == ("cancelled", False), "it has stopped"
+    assert command("cancel", 10**20, *where).stderr.startswith(f"job {10**20} neither waits nor is it run")
     assert "is empty" in command("queue", *where).stdout
     assert "here" in command("fleet", *where).stdout
     assert command("fleet", "--forget", "nobody", *where).returncode == 2
@@ -520,6 +527,13 @@ def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
     code, _, err = command("station")
     assert code == 2
     assert "--operator" in err
+
+
+@pytest.mark.parametrize("name", ["", "  ", "a\nb", "\x1b[31mred"])
+def test_a_station_has_a_name_that_can_be_seen(name: str, command: Call) -> None:
+    refused = command("station", "--dry-run", "--name", name, "--database", "host=127.0.0.1 port=1")
+    assert refused.returncode == 2
+    assert "a name is of letters that can be seen" in refused.stderr
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """What a plan's night holds."""
 
+import json
 from dataclasses import replace
 from datetime import timedelta
 
@@ -128,10 +129,21 @@ def test_a_night_says_of_what_no_dry_run_has_come_to_that_none_has(plan: Plan) -
     assert "a person is needed before" in str(found["m-1"].why)
 
 
+def test_a_sample_that_some_dry_runs_have_stopped_before_is_counted_only_if_19_of_20_have_not(desk: Desk) -> None:
+    plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
+    whole = trial_of(plan, 60.0)
+    stopped = replace(whole, began_s={job.name: whole.began_s[job.name] for job in plan.jobs[:2]})
+    for many, why in ((1, None), (2, "2 of 20 dry runs have stopped before its end")):
+        odds = odds_of(plan, [*[whole] * (20 - many), *[stopped] * many])
+        assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, why, why, why]
+
+
 def test_plan_says_what_its_night_holds(lab_folder: LabFolder, command: Call) -> None:
     path = lab_folder.write("recipes/two.yaml", RECIPE)
     said = command("plan", path, "--trials", "1", "--workers", "1", "--night", "20:00-08:00")
     assert "with nobody there: 1 of 4 samples" in said.stdout
     refused = command("plan", path, "--trials", "0", "--night", "20:00-08:00")
+    told = json.loads(command("plan", path, "--trials", "1", "--night", "20:00-08:00", "--json").stdout)["night"]
+    assert (told["lasts_s"], [one["why"] is None for one in told["samples"]]) == (43200.0, [True, False, False, False])
     assert (said.returncode, refused.returncode) == (0, 2)
     assert "at least one" in refused.stderr

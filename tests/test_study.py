@@ -2,17 +2,25 @@
 
 import csv
 import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
 from collections.abc import Mapping
-from concurrent.futures import Executor, Future
+from concurrent.futures import CancelledError, Executor, Future
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 from dose_bench import shipped_powders
 
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab
-from scuhand_bt.problems import SourceError
+from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.sim.powder import OurPowderFlow
@@ -25,7 +33,7 @@ from scuhand_bt.study.store import open_store
 from scuhand_bt.study.table import write_table
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
 from scuhand_bt.study.vary import Vary, goes_with, read_vary
-from tests.conftest import Call, LabFolder
+from tests.conftest import REPOSITORY, Call, LabFolder
 
 RECIPE = """recipe: two
 workflow: fill_xrd_holder
@@ -102,6 +110,20 @@ def test_a_study_that_broke_off_goes_on_and_one_of_other_files_begins_anew(setup
     assert inline.ran == 5
 
 
+def test_physics_of_ones_own_that_were_changed_are_tried_anew(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    own, kept, tried = tmp_path / "physics_of_mine.py", tmp_path / "s.sqlite", []
+    here = replace(setup, plant="physics_of_mine:Mine")
+    for text in ("class Mine: ...", "class Mine: ...", "class Mine: is_damp = True"):
+        own.write_text(text, encoding="utf-8")
+        with open_store(kept, here) as store:
+            tried.append(not list(store.found([(here, 0)])))
+            store.keep(here, fake(0, 60.0, "abc"))
+    assert tried == [True, False, True]
+
+
 def test_a_file_that_is_no_store_is_refused(setup: Setup, tmp_path: Path) -> None:
     path = tmp_path / "s.sqlite"
     path.write_text("no database, and long enough not to be taken for one", encoding="utf-8")
@@ -131,8 +153,69 @@ def test_a_place_that_there_is_not_is_told_with_those_that_there_are(setup: Setu
 
 
 def test_a_change_that_no_lab_may_have_is_refused_as_in_any_lab(setup: Setup) -> None:
-    with pytest.raises(SourceError, match="flow_coefficient"):
+    with pytest.raises(SourceError, match="flow_coefficient") as wrong:
         trial(replace(setup, changes=((FLOW, "-3"),)), 0)
+    said = str(wrong.value)
+    assert said.startswith(f"{setup.lab / 'robot' / 'powders.yaml'}:"), "the user's file, not the copy that is gone"
+    assert said.endswith(f"(with {FLOW}: -3)")
+
+
+def test_tables_beside_a_recipe_below_it_and_elsewhere_in_the_lab_are_tried_too(setup: Setup) -> None:
+    for folder in ("recipes/deep", "tables"):
+        (setup.lab / folder).mkdir()
+    table = "id;source;container;mass [mg]\n{0}1;beads;xrd_holder;30\n{0}2;beads;xrd_holder;40\n"
+    names = {"beside.csv": "p", "deep/below.csv": "q", "../tables/elsewhere.csv": "r"}
+    for name, letter in names.items():
+        (setup.recipe.parent / name).write_text(table.format(letter), encoding="utf-8")
+    entries = "".join(f"  - {{table: {name}}}\n" for name in names)
+    setup.recipe.write_text(f"{RECIPE.split('  - ')[0]}{entries}", encoding="utf-8")
+    one = trial(replace(setup, changes=((FLOW, "90"),)), 0)
+    assert [sample.id for sample in one.samples] == ["p1", "p2", "q1", "q2", "r1", "r2"]
+
+
+def test_what_is_wrong_in_another_process_is_told_here(setup: Setup) -> None:
+    wrong = replace(setup, changes=((FLOW, "-3"),)), replace(setup, plant="nowhere:Nothing")
+    with executor_of(1, None) as executor:
+        for one, said in zip(wrong, ("more than 0", "module 'nowhere' cannot be imported"), strict=True):
+            with pytest.raises(SourceError, match=said):
+                list(all_trials([(one, 0)], executor))
+
+
+def test_errors_are_the_same_in_another_process() -> None:
+    problems = [Problem(Mark("a.yaml", 3, 4), "is wrong", "bad-value"), Problem(Mark("--x", 0), "is none")]
+    assert pickle.loads(pickle.dumps(SourceError(problems))).problems == SourceError(problems).problems
+    failed = pickle.loads(pickle.dumps(SkillFailed("arm.no_path", "from a to b")))
+    assert (str(failed), failed.code) == ("arm.no_path: from a to b", "arm.no_path")
+
+
+def test_a_process_that_is_killed_ends_the_study_in_words() -> None:
+    with pytest.raises(SourceError, match="one of 1 processes was killed"), executor_of(1, None) as executor:
+        executor.submit(os.kill, executor.submit(os.getpid).result(), signal.SIGKILL).result()
+
+
+def test_a_cluster_that_goes_away_ends_the_study_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = MagicMock()
+    client.__exit__.return_value = client.get_executor().__exit__.return_value = False
+    killed = type("KilledWorker", (Exception,), {})
+    fake_dask = SimpleNamespace(Client=lambda *asked, **how: client, KilledWorker=killed)
+    monkeypatch.setitem(sys.modules, "distributed", fake_dask)
+    for error in (CancelledError, killed):
+        with pytest.raises(SourceError, match="--dask tcp://x: the cluster was lost"), executor_of(None, "tcp://x"):
+            raise error
+
+
+def test_the_processes_of_a_study_that_is_killed_end_too(tmp_path: Path) -> None:
+    program = tmp_path / "study.py"
+    program.write_text(
+        "import os, signal\nfrom scuhand_bt.study.pool import executor_of\n"
+        "if __name__ == '__main__':\n    with executor_of(1, None) as executor:\n"
+        "        executor.submit(os.getpid).result()\n        os.kill(os.getpid(), signal.SIGKILL)\n",
+        encoding="utf-8",
+    )
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    # Its output ends when nobody has it any more: the process that it has left neither.
+    ended = subprocess.run([sys.executable, program], capture_output=True, env=environment, timeout=60, check=False)
+    assert ended.returncode == -signal.SIGKILL
 
 
 RANGES = {FLOW: {"from": "50", "to": "100"}, "recipe.samples.0.mass": {"from": "20 mg", "to": "60 mg"}}
@@ -160,12 +243,17 @@ def test_sobol_indices_tell_what_a_figure_depends_on() -> None:
     assert found[FLOW] == pytest.approx((0.8, 0.8), abs=0.05)
     assert found["recipe.samples.0.mass"] == pytest.approx((0.2, 0.2), abs=0.05)
     assert vary.indices([1.0] * len(flows))[FLOW] == (0.0, 0.0)
+    alone = Vary.model_validate({"design": "sobol", "draws": 2, "vary": {FLOW: RANGES[FLOW]}})
+    assert alone.indices([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) == {FLOW: (1.0, 1.0)}
 
 
 def test_ranks_tell_what_goes_with_a_figure() -> None:
     draws = [Setup(Path("r"), Path("l"), changes=((FLOW, str(flow)), ("recipe.order", "x"))) for flow in (1, 2, 3)]
     assert goes_with(draws, [9.0, 5.0, 1.0]) == {FLOW: pytest.approx(-1.0)}
     assert goes_with(draws, [1.0, 1.0, 1.0]) == {FLOW: 0.0}
+    masses = [Setup(Path("r"), Path("l"), changes=(("m", mass),)) for mass in ("20 mg", "0.1 g", "250 mg")]
+    assert goes_with(masses, [1.0, 2.0, 3.0]) == {"m": pytest.approx(1.0)}, "by what they are, not by their digits"
+    assert goes_with([*masses, replace(masses[0], changes=(("m", "3 s"),))], [1.0, 2.0, 3.0, 4.0]) == {}
 
 
 @pytest.mark.parametrize(
@@ -176,13 +264,17 @@ def test_ranks_tell_what_goes_with_a_figure() -> None:
         ("{design: sobol, draws: 12, vary: {a.b: [x]}}", "a sobol design takes a power of two"),
         ("{design: random, vary: {a.b: [x]}}", "design"),
         ("vary: {}", "vary"),
+        ("vary: {recipe.order: []}", "a list of at least 1"),
+        ("{design: grid, draws: 300, vary: {a.b: {from: 1, to: 2}, c.d: {from: 1, to: 2}}}", "a grid of 90000 points"),
+        (f"{{vary: {{{FLOW}s: [x]}}}}", f"'{FLOW}s': 'flow_coefficients' is not there; known: flow_coefficient, "),
+        ("vary: {recipe.samples.7.mass: [1 mg]}", "'7' is not there; known: 0, 1, 2"),
     ],
 )
-def test_a_file_that_varies_nothing_sensible_is_told_where(tmp_path: Path, text: str, said: str) -> None:
+def test_a_file_that_varies_nothing_sensible_is_told_where(setup: Setup, tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "vary.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SourceError) as wrong:
-        read_vary(path)
+        read_vary(path, setup.recipe, setup.lab)
     assert str(wrong.value).startswith(f"{path}:1:")
     assert said in str(wrong.value)
 
@@ -284,6 +376,27 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
     assert "By 4 dry runs" in shown
     assert "what duration_s depends on" in shown
     assert command("study", setup.recipe, "-o", "rows.txt").returncode == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--vary", "order.yaml", "--controller", "paper"), "--controller: it is what --vary names"),
+        (("--dask", "tcp://127.0.0.1:1", "--workers", 2), "--workers: a Dask cluster has its own"),
+        (("--vary", "order.yaml", "--optimise", 2, "-o", "x.csv"), "--output: a search proposes figures"),
+        (("--trials", 10_000_000), "--trials: these are 10000000 dry runs, and 1000000 the most"),
+        (("--first-seed", 10**19), "--first-seed"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    setup: Setup, command: Call, tmp_path: Path, options: tuple[object, ...], said: str
+) -> None:
+    setup.recipe.write_text(RECIPE.replace("workflow", "controller: paper\nworkflow", 1), encoding="utf-8")
+    vary = tmp_path / "order.yaml"
+    vary.write_text("vary: {recipe.controller: [adaptive, paper]}", encoding="utf-8")
+    refused = command("study", setup.recipe, *(vary if one == "order.yaml" else one for one in options))
+    assert refused.returncode == 2
+    assert said in refused.stderr
 
 
 def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, command: Call) -> None:

@@ -28,7 +28,7 @@ DatabaseOption = Annotated[
         help="The queue's PostgreSQL database, as libpq names it; default: what PGSERVICE, PGHOST … say.",
     ),
 ]
-SHOWN = 30
+SHOWN, MOST_SHOWN = 30, 1_000_000
 
 
 @app.command()
@@ -49,6 +49,8 @@ def station(
 
     if not dry_run and operator is None:
         raise typer.BadParameter("a run on the cell has a person's name: say whose", param_hint="--operator")
+    if name is not None and not (name.strip() and name.isprintable()):
+        raise typer.BadParameter("a name is of letters that can be seen", param_hint="--name")
     folder = the_lab(lab).folder
 
     async def work() -> None:
@@ -99,7 +101,7 @@ def submit(
 @app.command()
 def queue(
     every: Annotated[bool, typer.Option("--all", help="Also the jobs that are over.")] = False,
-    most: Annotated[int, typer.Option(min=1, help="So many at the most, the newest ones.")] = SHOWN,
+    most: Annotated[int, typer.Option(min=1, max=MOST_SHOWN, help="So many at the most, the newest ones.")] = SHOWN,
     database: DatabaseOption = "",
     as_json: JsonFlag = False,
 ) -> None:

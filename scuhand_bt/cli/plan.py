@@ -59,7 +59,8 @@ def plan(
         _preview(made, loaded, odds, list(_of_persons(made, loaded, odds, hours)), html)
         return
     if as_json:
-        print_json({**_plan_values(made), "odds": odds and asdict(odds), "notes": notes})
+        night_values = _night_values(made, odds, hours) if odds is not None and hours is not None else None
+        print_json({**_plan_values(made), "odds": odds and asdict(odds), "night": night_values, "notes": notes})
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):
@@ -107,6 +108,12 @@ def _night(text: str, trials: int) -> "Night":
     if not trials:
         raise typer.BadParameter("what a night holds is told by dry runs: at least one", param_hint="--trials")
     return read_night(text)
+
+
+def _night_values(made: "Plan", odds: "Odds", hours: "Night") -> dict[str, Any]:
+    from scuhand_bt.study import fates
+
+    return {"lasts_s": hours.lasts_s, "samples": [asdict(fate) for fate in fates(made, odds, hours)]}
 
 
 def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":

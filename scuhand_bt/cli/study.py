@@ -18,13 +18,15 @@ if TYPE_CHECKING:
     from scuhand_bt.study import Odds, Range, Setup, Store, Task, Trial, Vary
 
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")]
+MOST_TRIALS = 1_000_000
+"""Of a study; each waits in memory until it is begun."""
 
 
 @app.command()
 def study(
     recipe: RecipeArgument,
     trials: Annotated[int, typer.Option(min=1, help="Dry runs, with seeds one after the other; of each draw.")] = 20,
-    first_seed: Annotated[int, typer.Option(min=0, help="The first one's seed.")] = 0,
+    first_seed: Annotated[int, typer.Option(min=0, max=10**12, help="The first one's seed.")] = 0,
     vary: Annotated[Path | None, typer.Option("--vary", help="What to vary, by a file (docs/study.md).")] = None,
     optimise: Annotated[
         int | None,
@@ -56,18 +58,27 @@ def study(
 
     if output is not None:
         of_kind(output, *TABLE_KINDS)
+        if optimise is not None:
+            raise typer.BadParameter("a search proposes figures, and writes no table", param_hint="--output")
+    if dask is not None and workers is not None:
+        raise typer.BadParameter("a Dask cluster has its own", param_hint="--workers")
     check_controller(controller)
     made, opened = the_plan(recipe, lab)
-    varied = read_vary(vary) if vary is not None else None
     setup = Setup(recipe.absolute(), opened.lab.folder.absolute(), controller, plant)
+    varied = read_vary(vary, setup.recipe, setup.lab) if vary is not None else None
+    if varied is not None and controller is not None and "recipe.controller" in varied.vary:
+        raise typer.BadParameter("it is what --vary names", param_hint="--controller")
     path = store or opened.state / "studies.sqlite"
     if optimise is not None:
         if varied is None:
             raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
         with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
-            _propose(setup, varied, optimise, range(first_seed, first_seed + trials), executor, kept)
+            seeds = range(first_seed, first_seed + trials)
+            _propose(setup, varied, optimise, seeds, executor, kept, as_json=as_json)
         return
     draws = [setup] if varied is None else [replace(setup, changes=changes) for changes in varied.changes()]
+    if (many := len(draws) * trials) > MOST_TRIALS:
+        raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
     tasks = [(draw, seed) for draw in draws for seed in range(first_seed, first_seed + trials)]
     found: dict[Task, Trial] = {}
     with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
@@ -88,12 +99,24 @@ def study(
     out.print(Text(f"Trials are kept in {path}"), soft_wrap=True)
 
 
-def _propose(setup: "Setup", vary: "Vary", candidates: int, seeds: range, executor: "Executor", kept: "Store") -> None:
+def _propose(
+    setup: "Setup",
+    vary: "Vary",
+    candidates: int,
+    seeds: range,
+    executor: "Executor",
+    kept: "Store",
+    *,
+    as_json: bool,
+) -> None:
     """Show figures that are better, as a diff: nothing is changed."""
     from scuhand_bt.study import diff, optimised
 
     held_out = range(seeds.stop, seeds.stop + len(seeds))
     found = optimised(setup, vary, candidates, seeds, held_out, executor, kept)
+    if as_json:
+        print_json({**asdict(found), "changes": dict(found.changes), "is_better": found.is_better})
+        return
     table = Table("on held-out seeds", "in tolerance", "a run takes", show_edge=False)
     for name, came in (("as written", found.as_written), ("proposed", found.proposed)):
         table.add_row(name, f"{came.good:.1%}", format_duration(came.duration_s))

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from scuhand_bt.fleet.needs import Needs, needs_of
 from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.recipe.expansion import tables_named
 from scuhand_bt.recipe.plan import Plan
-from scuhand_bt.yaml_source import Entries, Items, Scalar, parse
 
 Files = Mapping[str, str]
 """A recipe and its tables, byte for byte (Base64), by their paths in the recipe's folder."""
@@ -83,12 +83,9 @@ def write(files: Files, folder: Path) -> None:
 def _tables(plan: Plan) -> Iterator[str]:
     """The tables that a recipe names, each once."""
     path = plan.recipe.path
-    root = parse(plan.recipe.text, str(path), "a recipe")
-    samples = root.get("samples") if isinstance(root, Entries) else None
-    for sample in samples if isinstance(samples, Items) else ():
-        table = sample.get("table") if isinstance(sample, Entries) else None
-        if isinstance(table, Scalar) and table.text:
-            if not (path.parent / table.text).resolve().is_relative_to(path.parent.resolve()):
-                what = "a recipe goes to the queue with its own folder only: put the table beside it"
-                raise SourceError([Problem(table.mark, what)])
-            yield table.text
+    for table in tables_named(plan.recipe.text, str(path)):
+        name = table.text or ""
+        if not (path.parent / name).resolve().is_relative_to(path.parent.resolve()):
+            what = "a recipe goes to the queue with its own folder only: put the table beside it"
+            raise SourceError([Problem(table.mark, what)])
+        yield name

@@ -8,7 +8,7 @@ database only.
 
 import logging
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
@@ -18,6 +18,7 @@ from procrastinate import App, PsycopgConnector
 from procrastinate.exceptions import UniqueViolation
 from procrastinate.jobs import Job, Status
 from procrastinate.schema import SchemaManager
+from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from psycopg.types.json import Jsonb
 from pydantic import ValidationError
 
@@ -29,6 +30,8 @@ TASK = "scuhand-bt run"
 ABSENT_S = 60.0
 """A station that has not been heard of for so long is not there."""
 CONNECT_S = 5
+LAST = 2**63 - 1
+"""The database counts no further."""
 _STATIONS = """
 CREATE TABLE scuhand_stations (
     name text PRIMARY KEY, identity text NOT NULL, offer jsonb NOT NULL, state text NOT NULL,
@@ -180,7 +183,7 @@ class Queue:
 
     async def cancel(self, number: int) -> bool:
         """A job that waits is not run, one that is run is to stop; False for one that is over, or was never there."""
-        return await self._jobs.cancel_job_by_id_async(number, abort=True)
+        return abs(number) <= LAST and await self._jobs.cancel_job_by_id_async(number, abort=True)
 
     async def forget(self, name: str) -> bool:
         """A station that is no more; False for one that has jobs, or was never there."""
@@ -241,7 +244,7 @@ async def open_queue(database: str) -> AsyncIterator[Queue]:
 
     Its tables are made if there are none. SourceError where it cannot be reached or used.
     """
-    where = Mark(f"the queue's database ({database or 'by PGSERVICE, PGHOST …'})", 0)
+    where = Mark(f"the queue's database ({_shown(database) or 'by PGSERVICE, PGHOST …'})", 0)
     logging.getLogger("psycopg.pool").setLevel(logging.CRITICAL)  # what it says, the station says in words
     try:
         async with await psycopg.AsyncConnection.connect(database, connect_timeout=CONNECT_S) as connection:
@@ -261,6 +264,15 @@ async def open_queue(database: str) -> AsyncIterator[Queue]:
     app = App(connector=connector)
     async with app.open_async():
         yield Queue(app)
+
+
+def _shown(database: str) -> str:
+    """A connection string as it may be told: without a password. What is none is told as it is."""
+    with suppress(psycopg.Error):
+        said = conninfo_to_dict(database)
+        if said.pop("password", None) is not None:
+            return make_conninfo("", **said)
+    return database
 
 
 async def _planning_anew(connection: "psycopg.AsyncConnection[Any]") -> None:
@@ -297,7 +309,7 @@ def _looked_at(row: dict[str, Any]) -> QueuedJob:
         id=row["id"],
         station=row["station"],
         status=row["status"],
-        is_to_stop=row["abort_requested"],
+        is_to_stop=row["abort_requested"] and row["status"] == "doing",
         recipe=args.get("recipe", ""),
         by=args.get("by", ""),
         simulated=args.get("simulated", False),

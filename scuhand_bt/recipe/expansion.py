@@ -6,7 +6,7 @@ from pathlib import Path
 
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.recipe.table import read_table
-from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
+from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse
 
 MAX_SAMPLES = 20_000
 """The most that one recipe may have."""
@@ -53,6 +53,16 @@ def expand(
                 problems.add(row.keys["table"], "a table cannot name another table", code="bad-table")
             merged = _merge(shared, row)
             yield from _expand_lists(merged, problems, list_inputs(merged))
+
+
+def tables_named(text: str, file: str) -> Iterator[Scalar]:
+    """The tables that the samples of a recipe's text name, as they are written there."""
+    root = parse(text, file, "a recipe")
+    samples = root.get("samples") if isinstance(root, Entries) else None
+    for sample in samples if isinstance(samples, Items) else ():
+        table = sample.get("table") if isinstance(sample, Entries) else None
+        if isinstance(table, Scalar) and table.text:
+            yield table
 
 
 def _is_within(path: Path, *folders: Path) -> bool:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from scuhand_bt.fronts import front
 
 if TYPE_CHECKING:
-    from scuhand_bt.study.night import Night, in_words, read_night
+    from scuhand_bt.study.night import Night, fates, in_words, read_night
     from scuhand_bt.study.odds import Odds, Range, odds_of
     from scuhand_bt.study.optimise import diff, optimised
     from scuhand_bt.study.pool import all_trials, executor_of
@@ -18,7 +18,7 @@ else:
     __getattr__, __dir__ = front(
         __name__,
         {
-            "study.night": "Night in_words read_night",
+            "study.night": "Night fates in_words read_night",
             "study.odds": "Odds Range odds_of",
             "study.optimise": "diff optimised",
             "study.pool": "all_trials executor_of",
@@ -43,6 +43,7 @@ __all__ = [
     "all_trials",
     "diff",
     "executor_of",
+    "fates",
     "goes_with",
     "in_words",
     "odds_of",

@@ -9,8 +9,9 @@ import json
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,6 +19,7 @@ import yaml
 
 from scuhand_bt.lab import CELL_FILE
 from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.recipe.expansion import tables_named
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
@@ -31,7 +33,7 @@ FILES = {"powders": "robot/powders.yaml", "containers": "robot/containers.yaml",
 def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, Path]]:
     """A recipe and its lab with these changes, as files for a while: the very ones where nothing is changed.
 
-    Raises SourceError for a place that there is not.
+    Raises SourceError for a place that there is not. One that is raised with these files names those that they are of.
     """
     if not changes:
         yield recipe, lab
@@ -41,16 +43,32 @@ def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, P
         for name in FOLDERS:
             if (lab / name).is_dir():
                 shutil.copytree(lab / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-        beside = copy / "recipes"
-        beside.mkdir()
-        for path in recipe.parent.iterdir():  # its tables
-            if path.is_file():
-                shutil.copy(path, beside)
+        beside = copy / (recipe.parent.relative_to(lab) if recipe.is_relative_to(lab) else "recipes")
+        beside.mkdir(parents=True, exist_ok=True)
         copied = beside / recipe.name
+        shutil.copy(recipe, copied)
         for place, value in changes:
             path = file_of(place, copied, copy)
             path.write_text(with_value(path.read_text(encoding="utf-8"), place, value), encoding="utf-8")
-        yield copied, copy
+        for table in tables_named(copied.read_text(encoding="utf-8"), str(copied)):
+            given, path = recipe.parent / str(table.text), beside / str(table.text)
+            if given.is_file() and path.resolve().is_relative_to(copy.resolve()):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(given, path)
+        try:
+            yield copied, copy
+        except SourceError as error:
+            originals = ((beside, recipe.parent), (copy, lab))
+            raise SourceError([_of_original(problem, originals, changes) for problem in error.problems]) from None
+
+
+def _of_original(problem: Problem, originals: Iterable[tuple[Path, Path]], changes: Changes) -> Problem:
+    """A problem of a copy, told of the file that it is a copy of, and with what is changed there."""
+    file, message = problem.mark.file, problem.message
+    for at, of in originals:
+        file, message = (text.replace(f"{at}/", f"{of}/") for text in (file, message))
+    where = ", ".join(f"{place}: {value}" for place, value in changes)
+    return replace(problem, mark=replace(problem.mark, file=file), message=f"{message} (with {where})")
 
 
 def with_value(text: str, place: str, value: Value) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 from scuhand_bt.events import Discarded, Event, Kept, Note, Refilled, Returned, Scooped
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import MotionPlanner
+from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Job, Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
@@ -19,6 +20,7 @@ from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.study.change import changed
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, into
@@ -27,7 +29,14 @@ SOME_CELL = f"{SomeCell.__module__}:{SomeCell.__name__}"
 
 
 def dry_run(setup: Setup, seed: int) -> Trial:
-    """One dry run. SourceError for a recipe, a lab or changes that are wrong."""
+    """One dry run. SourceError for a recipe, a lab, changes or physics that are wrong."""
+    try:
+        return _dry_run(setup, seed)
+    except PlantError as error:
+        raise SourceError([Problem(Mark("--plant", 0), str(error))]) from None
+
+
+def _dry_run(setup: Setup, seed: int) -> Trial:
     plan, lab, motion = _made(setup)
     began, moved = _Began(), _Moved()
     plant = SOME_CELL if setup.plant is None else setup.plant

@@ -64,13 +64,14 @@ def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
             waits = f"a person is needed before, at '{job.name}': {needed[job.name]}"
         if job.sample is None:
             continue
-        if following is None:
-            ended = odds.duration_s if job.name in odds.began_s else None
+        stopped = odds.trials - odds.begun[following or job.name]
+        if waits is not None:
+            yield Fate(job.name, None, waits)
+        elif 20 * stopped > odds.trials:  # counted is what 19 of 20 have done by then
+            of = "every dry run has" if stopped == odds.trials else f"{stopped} of {odds.trials} dry runs have"
+            yield Fate(job.name, None, f"{of} stopped before its end")
         else:
-            ended = odds.began_s.get(following)
-        if waits is not None or ended is None:
-            yield Fate(job.name, None, waits or "every dry run has stopped before its end")
-        else:
+            ended = odds.duration_s if following is None else odds.began_s[following]
             yield Fate(job.name, ended.high, "it may take longer" if ended.high > night.lasts_s else None)
 
 

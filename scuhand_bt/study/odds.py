@@ -64,6 +64,8 @@ class Odds:
     duration_s: Range
     began_s: Mapping[str, Range]
     """When each job begins, by its name; of those that any trial has begun."""
+    begun: Mapping[str, int]
+    """How many trials have begun it."""
     samples: Mapping[str, Chance]
     scoops: Mapping[str, Range]
     """By source."""
@@ -92,6 +94,7 @@ def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
             for job in plan.jobs
             if (began_s := [trial.began_s[job.name] for trial in found if job.name in trial.began_s])
         },
+        begun={job.name: sum(job.name in trial.began_s for trial in found) for job in plan.jobs},
         samples=_chances(plan, found),
         scoops={name: _seen([trial.scoops[name] for trial in found]) for name in plan.recipe.sources},
         used_mg={name: _seen([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},

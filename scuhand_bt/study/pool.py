@@ -3,8 +3,9 @@
 import multiprocessing
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
+from threading import Thread
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.study.store import Store
@@ -15,14 +16,19 @@ from scuhand_bt.study.trial import Task, Trial, trials
 def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
     """So many new processes, as many as there are cores if None; or the Dask scheduler at an address.
 
-    SourceError where Dask is not installed or does not answer.
+    SourceError where Dask is not installed, does not answer or goes away, and where one of the processes was killed.
     """
     if dask is None:
-        with ProcessPoolExecutor(workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")) as pool:
-            yield pool
+        many, spawn = workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")
+        try:
+            with ProcessPoolExecutor(many, spawn, _end_with_parent) as pool:
+                yield pool
+        except BrokenExecutor:
+            problem = f"one of {many} processes was killed, as for want of memory: take fewer, and try again"
+            raise SourceError([Problem(Mark("--workers", 0), problem)]) from None
         return
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
 
         client = Client(dask, timeout="10s")
     except (ImportError, OSError, ValueError) as error:
@@ -30,8 +36,24 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
             f"no Dask scheduler: {error}; `pip install 'scuhand-bt[dask]'`, and start `dask scheduler` and workers"
         )
         raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
-    with client, client.get_executor() as pool:
-        yield pool
+    try:
+        with client, client.get_executor() as pool:
+            yield pool
+    except (CancelledError, KilledWorker) as error:
+        problem = f"the cluster was lost ({type(error).__name__}); the same command goes on with what was kept"
+        raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
+
+
+def _end_with_parent() -> None:
+    """In a process of the pool: it would wait for ever for work from a program that was killed."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def end() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=end, daemon=True).start()
 
 
 def all_trials(tasks: Iterable[Task], executor: Executor, store: Store | None = None) -> Iterator[tuple[Task, Trial]]:

@@ -4,8 +4,9 @@ import hashlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import scuhand_bt
@@ -24,7 +25,7 @@ class Store:
     def __init__(self, database: sqlite3.Connection, setup: Setup) -> None:
         self._database = database
         lab = load_lab(setup.lab)
-        files = [load_recipe(setup.recipe, lab).hash, lab_files(lab), scuhand_bt.__version__]
+        files = [load_recipe(setup.recipe, lab).hash, lab_files(lab), scuhand_bt.__version__, *_physics(setup.plant)]
         self._files = json.dumps(files, sort_keys=True)
 
     def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
@@ -47,6 +48,14 @@ class Store:
     def _key(self, setup: Setup) -> str:
         tried = json.dumps([self._files, setup.controller, setup.plant, setup.changes])
         return hashlib.sha256(tried.encode()).hexdigest()
+
+
+def _physics(plant: str | None) -> Iterator[str]:
+    """The hash of the file that physics of one's own (`module:Class`) stand in, where it can be found."""
+    with suppress(ImportError, ValueError, AttributeError, OSError):
+        spec = find_spec(plant.partition(":")[0]) if plant is not None else None
+        if spec is not None and spec.origin is not None:
+            yield hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
 
 
 @contextmanager

@@ -9,8 +9,10 @@ vary:
 """
 
 import itertools
+import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -18,12 +20,13 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 from scipy.stats import qmc, sobol_indices, spearmanr
 
-from scuhand_bt.problems import Problems
+from scuhand_bt.problems import Problems, SourceError
+from scuhand_bt.quantity import ANGLE, DENSITY, DURATION, LENGTH, MASS, RATIO, SPEED, VOLUME, parse
 from scuhand_bt.specs import Spec
-from scuhand_bt.study.change import Changes
+from scuhand_bt.study.change import Changes, file_of, with_value
 from scuhand_bt.study.trial import Setup
 from scuhand_bt.validation import validate
-from scuhand_bt.yaml_source import load
+from scuhand_bt.yaml_source import Entries, load
 
 _NUMBER = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
 
@@ -51,8 +54,11 @@ class Between(Spec):
         return f"{float(low[1]) + share * (float(high[1]) - float(low[1])):.9g}{low[2]}"
 
 
+_UNITS = (MASS, DURATION, LENGTH, ANGLE, VOLUME, DENSITY, SPEED, RATIO)
+MOST_DRAWS = 65_536
+
 Given: TypeAlias = Annotated[
-    Annotated[Between, Tag("a range")] | Annotated[list[str], Tag("a list")],
+    Annotated[Between, Tag("a range")] | Annotated[list[str], Field(min_length=1), Tag("a list")],
     Discriminator(lambda given: "a list" if isinstance(given, list) else "a range"),
 ]
 
@@ -61,7 +67,7 @@ class Vary(Spec):
     """What is varied, and how."""
 
     design: Literal["latin_hypercube", "sobol", "grid"] = "latin_hypercube"
-    draws: Annotated[int, Field(gt=0, le=65_536)] = 64
+    draws: Annotated[int, Field(gt=0, le=MOST_DRAWS)] = 64
     vary: Annotated[dict[str, Given], Field(min_length=1)]
 
     def changes(self, seed: int = 0) -> list[Changes]:
@@ -83,6 +89,11 @@ class Vary(Spec):
             shares = np.concatenate([first, second, *mixed])
         return [self._at(row) for row in shares]
 
+    @property
+    def points(self) -> int:
+        """Of a grid."""
+        return math.prod(len(given) if isinstance(given, list) else self.draws for given in self.vary.values())
+
     def _steps(self, given: Between | list[str]) -> list[str]:
         return given if isinstance(given, list) else [given.at(share) for share in np.linspace(0.0, 1.0, self.draws)]
 
@@ -97,6 +108,8 @@ class Vary(Spec):
         values, places = np.asarray(figures, dtype=float).reshape(-1, self.draws), len(self.vary)
         if np.ptp(values) == 0.0:
             return dict.fromkeys(self.vary, (0.0, 0.0))
+        if places == 1:
+            return dict.fromkeys(self.vary, (1.0, 1.0))
         found = sobol_indices(
             func={"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:].reshape(places, 1, self.draws)},
             n=self.draws,
@@ -109,13 +122,22 @@ class Vary(Spec):
         }
 
 
-def read_vary(path: Path) -> Vary:
-    """Read and check such a file; SourceError with every mistake found."""
+def read_vary(path: Path, recipe: Path, lab: Path) -> Vary:
+    """Read and check such a file against what it varies; SourceError with every mistake found."""
     problems = Problems()
     root = load(path, "a file of what to vary")
     vary = validate(Vary, root, problems, "such as {vary: {cell.balance.readability: [0.1 mg, 1 mg]}},")
     if vary is not None and vary.design == "sobol" and vary.draws & (vary.draws - 1):
         problems.add(root.mark, f"{vary.draws} draws", "a sobol design takes a power of two")
+    if vary is not None and vary.design == "grid" and (many := vary.points) > MOST_DRAWS:
+        problems.add(root.mark, f"a grid of {many} points", f"at most {MOST_DRAWS}: fewer `draws`, or another design")
+    places = root.get("vary") if isinstance(root, Entries) else None
+    for place, mark in places.keys.items() if vary is not None and isinstance(places, Entries) else ():
+        try:
+            with_value(file_of(place, recipe, lab).read_text(encoding="utf-8"), place, "")
+        except SourceError as error:
+            for problem in error.problems:
+                problems.add(mark, f"'{place}': {problem.message}")
     problems.raise_any()
     assert vary is not None
     return vary
@@ -125,9 +147,19 @@ def goes_with(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, 
     """Spearman's rank correlation of a figure with each place that has numbers; 0 where nothing changes."""
     found: dict[str, float] = {}
     for place in dict(draws[0].changes) if draws else ():
-        numbers = [_NUMBER.fullmatch(str(dict(draw.changes)[place])) for draw in draws]
-        values = [float(number[1]) for number in numbers if number is not None]
-        if len(values) == len(figures):
+        values = _numbers([str(dict(draw.changes)[place]) for draw in draws])
+        if values is not None:
             is_flat = np.ptp(values) == 0.0 or np.ptp(figures) == 0.0
             found[place] = 0.0 if is_flat else float(spearmanr(values, figures).statistic)
     return found
+
+
+def _numbers(texts: Sequence[str]) -> list[float] | None:
+    """Values as numbers of one unit; None for what is none."""
+    found = [_NUMBER.fullmatch(text.strip()) for text in texts]
+    if len({match and match[2].strip() for match in found}) == 1:
+        return [float(match[1]) for match in found if match is not None] or None
+    for unit in _UNITS:
+        with suppress(ValueError):
+            return [parse(text, unit) for text in texts]
+    return None
