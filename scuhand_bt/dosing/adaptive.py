@@ -1,13 +1,9 @@
 """Controller `adaptive`: openings steered by what the bank of filters knows, shut on the predicted final mass.
 
 A dose is openings, each followed by a look with the valve shut, until a stable mean is in tolerance. An opening
-
-* begins so narrow that the sheet may stick and it is seen in time (`begins_mm`);
-* is as wide as the chance constraint allows (`constraint`), narrower as the target comes near;
-* is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when for a
-  while powder did not come as it should, so that either a bridge holds it back or the balance does; when a lump's
-  share was shaken out; or near the target on a balance that adapts, which has been in a hurry until then;
-* is never widened while nothing is seen to come.
+(`opening`) is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when
+for a while powder did not come as it should, so that either a bridge holds it back or the balance does; when a lump's
+share was shaken out; or near the target on a balance that adapts, which has been in a hurry until then.
 
 Where an opening brought nothing the next one is tried again, then shaken, gently and then fully. Only a look that shows
 that nothing has come, all shaking notwithstanding, makes it believe in less flow, and so open wider.
@@ -153,11 +149,9 @@ class Adaptive:
                 continue
             seen = yield from self._weigh()
             known.begin(seen.net_mg, max(seen.uncertainty_mg, 0.05))
-            verdict = known.verdict(seen)
+            verdict = known.verdict(seen) or (gave_out and self._gave_out())  # by what was weighed now
             if verdict is not None:
                 return known.finish(verdict, seen)
-            if gave_out is not None:
-                return known.finish(gave_out, seen)
         return known.finish("step_limit", seen)
 
     def _weigh(self) -> Generator[Command, Observation, Observation]:

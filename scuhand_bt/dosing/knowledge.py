@@ -35,6 +35,8 @@ TELLING = 20.0
 """Times the noise: openings that neither brought this together nor should have teach nothing yet."""
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
+STRONG = 0.5
+"""How much more of the flow it is allowed for then, at most."""
 HARDLY_EVER = 2.6
 """Standard deviations that a flow is above its reference once in 200 times."""
 SEEN_S = 0.4
@@ -216,7 +218,8 @@ class Knowledge:
 
     def stuck_mg(self, opening_mm: float, open_s: float) -> float:
         """What an opening lets out that is shut after so long, where the sheet has stuck."""
-        return max(self.reference, self.seen) * self.valve.passes(opening_mm + STUCK_MM, open_s)
+        strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
+        return strong * self.valve.passes(opening_mm + STUCK_MM, open_s)
 
     @property
     def seen_s(self) -> float:

@@ -22,7 +22,7 @@ CONFIRMS = 0.75
 FLOWS = 0.2
 """Of its reference: a flow that is at least this strong is what was expected."""
 ALARM = 1.3
-"""A flow that is surely so many times the expected one, near the target, shuts the valve."""
+"""A flow that is surely so many times the expected one, near the target, shuts the valve: the sheet has slipped."""
 SURPRISE = 5.0
 """A reading so many standard deviations above prediction shuts the valve."""
 SHAKE_S = 0.8
@@ -72,24 +72,18 @@ class Opening:
         `is_first`: no powder has come in this dose, and its first may show a balance that was set slower.
         """
         self._passed_s += self._known.rows[-1].phi_s
-        if self._surprises(score):
+        if score > SURPRISE or self._is_too_strong():
             return "surprise"
         if (enough := self._enough()) is not None:
             return enough
         return self._lacks(is_first)
 
-    def _surprises(self, score: float) -> bool:
-        bank = self._known.bank
-        if score > SURPRISE:
-            return True
-        flows = bank.coefficient - 1.5 * bank.coefficient_sd
-        return flows > ALARM * self._first_reference and 2.0 * self._unseen_mg() > self._most_mg - bank.mass_mg
-
-    def _unseen_mg(self) -> float:
-        """What flows while it cannot be seen yet, and until the valve is shut."""
+    def _is_too_strong(self) -> bool:
         known, bank = self._known, self._known.bank
         tail, _ = known.valve.closing(known.request.balance_period_s + bank.delay_s)
-        return bank.coefficient * tail
+        unseen_mg = bank.coefficient * tail  # what flows while it cannot be seen yet, and until the valve is shut
+        surely = bank.coefficient - 1.5 * bank.coefficient_sd
+        return surely > ALARM * self._first_reference and 2.0 * unseen_mg > self._most_mg - bank.mass_mg
 
     def _enough(self) -> Seen | None:
         """By what is predicted, if it is shut now, and by the next reading."""
@@ -107,32 +101,40 @@ class Opening:
 
     def _lacks(self, is_first: bool) -> Seen | None:
         """By what should have come and was not seen."""
-        known, row = self._known, self._known.rows[-1]
-        mass_mg, delay_s = known.bank.mass_mg, known.bank.delay_s
-        last_s, last_mg, last_reading_mg = self._last
-        expected_mg = known.reference * (self._passed_s - last_s)
-        has_risen = row.reading_mg - last_reading_mg > 3.0 * row.noise_mg
-        confirmed_s, confirmed_mg = self._confirmed
-        is_new = has_risen and math.isinf(self._came_s)
-        if is_new:
-            self._came_s = known.time_s
-        if is_new or mass_mg - confirmed_mg > CONFIRMS * known.reference * (self._passed_s - confirmed_s):
-            self._confirmed, self._doubted_s = (self._passed_s, mass_mg), 0.0
-        else:
-            self._doubted_s += row.dt_s
+        known, delay_s = self._known, self._known.bank.delay_s
+        has_risen = known.rows[-1].reading_mg - self._last[2] > 3.0 * known.rows[-1].noise_mg
+        self._confirm(has_risen)
         if is_first and self._came_s < math.inf and self._doubted_s > delay_s + SEEN_S:
             return "weak"
-        if has_risen and mass_mg - last_mg > FLOWS * expected_mg:
-            if self._quiet_s > delay_s + 0.5:
-                self._missing_mg += max(0.0, expected_mg - (mass_mg - last_mg))
-            self._last, self._quiet_s = (self._passed_s, mass_mg, row.reading_mg), 0.0
-            known.follow()
-        elif known.time_s >= self._stuck_seen_s or self._opening_mm <= self._begins_mm:
-            self._quiet_s += row.dt_s
+        self._note(has_risen)
         last_s, last_mg, _ = self._last
-        most_mg = max(last_mg + known.strongest * (self._passed_s - last_s), mass_mg)
+        most_mg = max(last_mg + known.strongest * (self._passed_s - last_s), known.bank.mass_mg)
         if most_mg + self._missing_mg > self._most_mg:
             return "missing"
         if self._quiet_s > 0.8 + min(delay_s, 2.0):
             return "quiet"
         return "lump" if 0.0 < self._lump_mg < known.reference * self._passed_s else None
+
+    def _confirm(self, has_risen: bool) -> None:
+        """Whether as much has come as should have; not before the first has."""
+        known, (confirmed_s, confirmed_mg) = self._known, self._confirmed
+        is_new = has_risen and math.isinf(self._came_s)
+        if is_new:
+            self._came_s = known.time_s
+        expected_mg = known.reference * (self._passed_s - confirmed_s)
+        if is_new or known.bank.mass_mg - confirmed_mg > CONFIRMS * expected_mg:
+            self._confirmed, self._doubted_s = (self._passed_s, known.bank.mass_mg), 0.0
+        else:
+            self._doubted_s += known.rows[-1].dt_s
+
+    def _note(self, has_risen: bool) -> None:
+        """Whether powder still comes."""
+        known, row, (last_s, last_mg, _) = self._known, self._known.rows[-1], self._last
+        came_mg, expected_mg = known.bank.mass_mg - last_mg, known.reference * (self._passed_s - last_s)
+        if has_risen and came_mg > FLOWS * expected_mg:
+            if self._quiet_s > known.bank.delay_s + 0.5:
+                self._missing_mg += max(0.0, expected_mg - came_mg)
+            self._last, self._quiet_s = (self._passed_s, known.bank.mass_mg, row.reading_mg), 0.0
+            known.follow()
+        elif known.time_s >= self._stuck_seen_s or self._opening_mm <= self._begins_mm:
+            self._quiet_s += row.dt_s
