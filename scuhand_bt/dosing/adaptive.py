@@ -149,7 +149,7 @@ class Adaptive:
                 continue
             seen = yield from self._weigh()
             known.begin(seen.net_mg, max(seen.uncertainty_mg, 0.05))
-            verdict = known.verdict(seen) or (gave_out and self._gave_out())  # by what was weighed now
+            verdict = known.verdict(seen) or gave_out
             if verdict is not None:
                 return known.finish(verdict, seen)
         return known.finish("step_limit", seen)
