@@ -83,21 +83,6 @@ def test_what_a_balance_shows_when_the_valve_has_long_been_shut_is_no_stronger_f
     assert known.surely == surely
 
 
-def test_powder_that_primed_late_is_known_for_how_it_flows_though_it_shows_when_the_valve_is_shut() -> None:
-    late = BalanceBelief(lag_s=0.5, doubt=0.08, shape="delay", fits=3, noise_mg=0.05)
-    known = Knowledge(request(powder=BEADS, balance=late))
-    scale = Scale(known, 0.0)
-    scale.act(1.0, 1.5)
-    per_reading_mg = 2.0 * BEADS.coefficient * PERIOD_S * known.shape.value(1.0)
-    scale.act(0.0, 0.5)
-    for _ in range(6):
-        scale.left_mg += per_reading_mg
-        scale.act(0.0, PERIOD_S)
-    scale.act(0.0, 1.0)
-    known.learn(scale.left_mg - known.begin_mg)
-    assert known.reference > 1.5 * BEADS.coefficient, "a third of the time it came, twice as strongly as believed"
-
-
 def test_a_first_opening_that_was_held_up_leaves_the_next_as_careful_and_one_that_was_not_does_not() -> None:
     held_up, free = Knowledge(request(powder=BEADS)), Knowledge(request(powder=BEADS))
     before_mm = free.begins_mm(480.0)
@@ -225,7 +210,7 @@ def test_no_more_may_leave_than_a_stable_mean_would_call_in_tolerance() -> None:
     assert known.most_mg == pytest.approx(501.4)
     assert known.least_mg == pytest.approx(498.6)
     assert known.least_mg < known.aim_mg < 500.0
-    assert Knowledge(request(uncertainty_mg=5.0)).most_mg == pytest.approx(500.5), "doubtful: as near as it can"
+    assert Knowledge(request(uncertainty_mg=5.0)).most_mg == 500.0, "doubtful: as near as it can"
     lumpy = Knowledge(request(uncertainty_mg=0.3, powder=BEADS.model_copy(update={"surge_mg": 1.0})))
     assert known.least_mg < lumpy.aim_mg < known.aim_mg, "a lump can be waited for"
 
@@ -325,7 +310,7 @@ def test_a_cone_that_ran_empty_teaches_nothing_of_the_powder() -> None:
 def test_openings_that_bring_little_teach_together() -> None:
     known = Knowledge(request())
     scale = Scale(known, 0.25 * BEADS.coefficient)
-    references = [scale.opening(0.3, 0.5) for _ in range(40)]
+    references = [scale.opening(0.3, 0.3) for _ in range(40)]
     assert references[0] == BEADS.coefficient, "one alone is too little"
     assert references[-1] < 0.6 * BEADS.coefficient
     assert len(set(references)) < 20

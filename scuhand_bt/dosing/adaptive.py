@@ -1,13 +1,9 @@
 """Controller `adaptive`: openings steered by what the bank of filters knows, shut on the predicted final mass.
 
 A dose is openings, each followed by a look with the valve shut, until a stable mean is in tolerance. An opening
-
-* begins so narrow that the sheet may stick and it is seen in time (`begins_mm`);
-* is as wide as the chance constraint allows (`constraint`), narrower as the target comes near;
-* is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when for a
-  while powder did not come as it should, so that either a bridge holds it back or the balance does; when a lump's
-  share was shaken out; or near the target on a balance that adapts, which has been in a hurry until then;
-* is never widened while nothing is seen to come.
+(`opening`) is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when
+for a while powder did not come as it should, so that either a bridge holds it back or the balance does; when a lump's
+share was shaken out; or near the target on a balance that adapts, which has been in a hurry until then.
 
 Where an opening brought nothing the next one is tried again, then shaken, gently and then fully. Only a look that shows
 that nothing has come, all shaking notwithstanding, makes it believe in less flow, and so open wider.
@@ -20,7 +16,6 @@ from typing import Literal
 
 import numpy as np
 
-from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.controller import (
     LONGEST_UNWEIGHED_S,
     Command,
@@ -33,7 +28,8 @@ from scuhand_bt.dosing.controller import (
     Weigh,
 )
 from scuhand_bt.dosing.estimation import powers
-from scuhand_bt.dosing.knowledge import FULL, GENTLE, NEAR_MG, SEEN_S, Knowledge
+from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
+from scuhand_bt.dosing.opening import SURPRISE, Opening, Seen
 from scuhand_bt.dosing.pulses import pulses
 
 MOST_OPENINGS = 200
@@ -42,23 +38,12 @@ LISTENED = 12
 """Readings that tell an unknown balance's noise."""
 PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
-EVIDENT_S = 0.3
-"""What has come no later than this ago still comes."""
-CONFIRMS = 0.75
-"""Of what should have come: less, for the delay and `SEEN_S`, is a weak flow, or a balance that was set slower."""
-FLOWS = 0.2
-"""Of its reference: a flow that is at least this strong is what was expected."""
-ALARM = 1.3
-"""A flow that is surely so many times the expected one, near the target, shuts the valve."""
-SURPRISE = 5.0
-"""A reading so many standard deviations above prediction shuts the valve."""
 CAME_SHARE, CAME_MG = 0.2, 20.0
 """An opening that brought this share of what was expected, or of so much, was not in vain."""
 SLOW_SHARE = 0.5
 """An opening that brought less than this share of what was missing was too narrow."""
-LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, SHAKE_S = 0.7, 3.0, 0.12, 0.8
-"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share in
-such a time."""
+LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
+"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share."""
 LUMPS_MISSED = 2.5
 """So many lumps should have been shaken out, and none has: so narrow an opening lets none through."""
 SPARED_MG = 20.0
@@ -88,7 +73,7 @@ EMPTY_S, DRY_S = 8.0, 60.0
 SCOOPED_ANEW_S = 3.0
 """The same for what is in any case to be scooped for again: less is left than is missing, and has stopped to come."""
 
-Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "rest", "long", "near", "weak"]
+Ended = Seen | Literal["dry", "rest", "long"]
 """Why an opening ended."""
 
 
@@ -164,11 +149,9 @@ class Adaptive:
                 continue
             seen = yield from self._weigh()
             known.begin(seen.net_mg, max(seen.uncertainty_mg, 0.05))
-            verdict = known.verdict(seen)
+            verdict = known.verdict(seen) or gave_out
             if verdict is not None:
                 return known.finish(verdict, seen)
-            if gave_out is not None:
-                return known.finish(gave_out, seen)
         return known.finish("step_limit", seen)
 
     def _weigh(self) -> Generator[Command, Observation, Observation]:
@@ -232,89 +215,27 @@ class Adaptive:
 
     def _open(self) -> Generator[Command, Observation, Ended]:
         """One opening, until it should shut."""
-        known = self._known
-        bank = known.bank
-        most_mg = known.most_mg
-        if not known.knows_balance:
-            most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
-        reference = known.reference
-        limit_mg, period_s = self._lump_mg(), known.request.balance_period_s
-        passed_s = sure_s = missing_mg = doubted_s = told_s = told_mg = 0.0
-        quiet_s = 0.0
-        sure_mg = barren_mg = bank.mass_mg
-        read_mg = known.begin_mg
-        stuck_seen_s, came_s, begins_mm = known.time_s + known.seen_s, math.inf, known.begins_mm(most_mg - bank.mass_mg)
-        # A lump cannot be let out in part: where it is shaken for, it may come.
-        shaken_mm = max(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.least_mm)
-        shaken_mm = min(shaken_mm, known.request.max_opening_mm)
-        opening_mm = math.inf
+        known, bank = self._known, self._known.bank
         if known.aim_mg <= bank.mass_mg:
             return "reached"
+        most_mg = known.most_mg if known.knows_balance else min(known.most_mg, bank.mass_mg + PROBE_MG)
+        opening = Opening(known, most_mg, self._lump_mg())
+        barren_mg = bank.mass_mg
         while True:
-            wanted_mm = shaken_mm if limit_mg else known.widest_mm(most_mg)
-            # What does not come yet, or no more, may come at any moment: no reason to open wider.
-            opening_mm = min(wanted_mm, opening_mm) if sure_s == 0.0 or quiet_s > EVIDENT_S else wanted_mm
-            # Of powder that begins to come late nothing can be seen yet.
-            may_stick = not limit_mg and known.time_s < max(stuck_seen_s, came_s + SEEN_S)
-            score = yield from known.act(min(opening_mm, begins_mm) if may_stick else opening_mm, self._vibration)
-            dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
-            passed_s += phi_s
-            if score > SURPRISE:
-                return "surprise"
-            flows = bank.coefficient - 1.5 * bank.coefficient_sd
-            if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
-                return "surprise"
-            soon, later = (powers(*known.valve.closing(wait_s)) for wait_s in (period_s / 2.0, period_s))
-            means, variances = bank.coming(np.array((soon, later)))
-            shut_mg = float(bank.weights @ means[0])  # if it is shut now
-            if shut_mg >= known.aim_mg:
-                return "reached"
-            if known.hurries and shut_mg >= known.aim_mg - NEAR_MG:
-                return "near"
-            if not limit_mg and chance(bank, means[1], variances[1], most_mg) > RISK:
-                return "fear"
-            mass_mg = bank.mass_mg
-            reading_mg = known.rows[-1].reading_mg
-            expected_mg = known.reference * (passed_s - sure_s)
-            risen = reading_mg - read_mg > 3.0 * known.rows[-1].noise_mg
-            if risen and math.isinf(came_s):
-                came_s, told_s, told_mg, doubted_s = known.time_s, passed_s, mass_mg, 0.0
-            elif mass_mg - told_mg > CONFIRMS * known.reference * (passed_s - told_s):
-                told_s, told_mg, doubted_s = passed_s, mass_mg, 0.0
-            else:
-                doubted_s += dt_s
-            is_first = not self._has_come and bank.surge_mg < LUMPY_MG and most_mg - mass_mg > FAR_MG
-            if is_first and came_s < math.inf and doubted_s > bank.delay_s + SEEN_S:
-                return "weak"
-            if risen and mass_mg - sure_mg > FLOWS * expected_mg:
-                if quiet_s > bank.delay_s + 0.5:
-                    missing_mg += max(0.0, expected_mg - (mass_mg - sure_mg))
-                sure_s, sure_mg, read_mg, quiet_s = passed_s, mass_mg, reading_mg, 0.0
-                known.follow()
-            elif known.time_s >= stuck_seen_s or opening_mm <= begins_mm:
-                quiet_s += dt_s
-            if max(sure_mg + known.strongest * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
-                return "missing"
-            if quiet_s > self._patience_s:
-                return "quiet"
-            if limit_mg and known.reference * passed_s > limit_mg:
-                return "lump"
+            score = yield from known.act(opening.width_mm(), self._vibration)
+            may_be_slower = not self._has_come and bank.surge_mg < LUMPY_MG and most_mg - bank.mass_mg > FAR_MG
+            if (seen := opening.see(score, is_first=may_be_slower)) is not None:
+                return seen
             if self._vibration >= FULL:
-                self._barren_s += dt_s
-            if mass_mg - barren_mg > max(1.0, 3.0 * bank.mass_sd_mg):
-                self._barren_s, barren_mg = 0.0, mass_mg
+                self._barren_s += known.rows[-1].dt_s
+            if bank.mass_mg - barren_mg > max(1.0, 3.0 * bank.mass_sd_mg):
+                self._barren_s, barren_mg = 0.0, bank.mass_mg
             if self._is_dry():
                 return "dry"
             if self._is_rest:
                 return "rest"
             if known.time_s - self._weighed_s > LONGEST_UNWEIGHED_S:
                 return "long"
-
-    def _unseen_mg(self) -> float:
-        """What flows while it cannot be seen yet, and until the valve is shut."""
-        known, bank = self._known, self._known.bank
-        tail, _ = known.valve.closing(known.request.balance_period_s + bank.delay_s)
-        return bank.coefficient * tail
 
     def _lump_mg(self) -> float:
         """What an opening should bring where lumps are shaken out singly; 0 elsewhere."""
@@ -323,11 +244,6 @@ class Adaptive:
         if surge_mg < LUMPY_MG or left_mg > LUMPS_LEFT * surge_mg + 1.0:
             return 0.0
         return LUMP_SHARE * max(surge_mg, left_mg / 1.5)
-
-    @property
-    def _patience_s(self) -> float:
-        """An opening from which nothing comes is shut after this."""
-        return 0.8 + min(self._known.bank.delay_s, 2.0)
 
     def _shake(self, came: bool) -> None:
         """A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully.

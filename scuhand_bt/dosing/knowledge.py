@@ -31,22 +31,18 @@ SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
 RISES, RISEN = 3, 3.0
 """Readings whose mean is above that of as many before, by so many standard deviations, still rise."""
-PEAK = 5
-"""Readings that a flow's peak is taken over."""
-LEAST_MG = 2.0
-"""Openings that neither brought this together nor should have teach nothing yet."""
+TELLING = 20.0
+"""Times the noise: openings that neither brought this together nor should have teach nothing yet."""
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
-"""How much more of the flow it is allowed for then."""
+"""How much more of the flow it is allowed for then, at most."""
 HARDLY_EVER = 2.6
 """Standard deviations that a flow is above its reference once in 200 times."""
 SEEN_S = 0.4
 """So long after the balance's delay it is seen whether the sheet has stuck."""
 AIM_UNDER_MG = 0.1
 """Too little can be corrected, too much cannot."""
-LEAST_SPARE_MG = 0.5
-"""Above the target, where the balance is too uncertain for any verdict."""
 SLACK_S = 0.1
 """Between a reading and the command that answers it."""
 GENTLE, FULL = 0.4, 1.0
@@ -57,16 +53,16 @@ ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
 """How fast it is learnt that predictions are worse than they claim; and the most that one of them tells."""
 DIFFERS = 0.5
 """By how much the flow may differ from what is believed, as a logarithm."""
-GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
-"""What doses are taken to differ by, at least: until a second one was seen, and ever."""
+LEAST_KEPT_SPREAD = 0.15
+"""What doses are taken to differ by, at least."""
 SHAKING_NOISE_MG = 0.3
 """Of a reading while the motor runs, until it was seen."""
 NOISE_GAIN, OUTLIER = 0.05, 12.0
 """How fast the noise is learnt; a second difference of more standard deviations is no noise."""
 NEAR_MG = 20.0
 """On a balance that adapts an opening ends so far from the target, and the last of the dose comes out of others."""
-FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
-"""How far the reference goes after the flow with each sight of it; where the flow is surely stronger."""
+FOLLOWS = 0.04
+"""How far the reference goes after the flow with each sight of it."""
 LEAST_WEIGHT = 0.2
 """What a dose counts beside those before, at least."""
 
@@ -117,9 +113,8 @@ class Knowledge:
 
     def begin(self, mass_mg: float, sd_mg: float) -> None:
         """The balance is at rest, the valve shut, and this has been dosed, give or take `sd_mg`."""
-        self.begin_mg, self._most_phi_s, self._shut_s = mass_mg, 0.0, 0.0
-        self.surely = 0.0
-        """The coefficient that powder has surely flowed with, in this opening."""
+        self.begin_mg, self.surely = mass_mg, 0.0
+        """What had been dosed before, and the coefficient that powder has surely flowed with, in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.erratic = self.erratic
         self.hurries = self.balance.adapts and self.aim_mg - mass_mg > 2.0 * NEAR_MG
@@ -144,22 +139,9 @@ class Knowledge:
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
         self.seen_now = max(self.seen_now, self.surely)
-        peak = 0.0 if shaking else self._peak()
         if phi_s > 0.0:  # what rises in the tail is the balance's: one that adapts takes longer than its model
-            self.surely, self._shut_s = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd), 0.0
-        self._shut_s += dt_s
-        if self._shut_s < self.bank.delay_s + PEAK * dt_s:  # powder that primed late shows when the valve is shut
-            self.surely = max(self.surely, peak)
+            self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd)
         return score
-
-    def _peak(self) -> float:
-        """The flow's coefficient as the steepest rise shows it, whatever the balance: it shows no rise too steep."""
-        if len(self.rows) <= PEAK:
-            return 0.0
-        rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg - 4.0 * self.rows[-1].noise_mg
-        rise_mg -= LEAST_MG + 5.0 * self.bank.surge_mg
-        self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
-        return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
 
     def _learn_noise(self, reading_mg: float, phi_s: float, shaking: bool) -> None:
         """From second differences, which a slowly changing mass leaves alone."""
@@ -199,7 +181,7 @@ class Knowledge:
     def most_mg(self) -> float:
         """No more may leave: a stable mean would call it too much."""
         spare_mg = self.request.tolerance_mg - COVERAGE * self.uncertainty_mg
-        return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
+        return self.request.target_mg + max(spare_mg, 0.0)
 
     @property
     def least_mg(self) -> float:
@@ -280,10 +262,8 @@ class Knowledge:
     # --- what is learnt ---
 
     def follow(self) -> None:
-        """The reference goes after the flow: slowly, but at once where the flow is surely stronger."""
-        bank = self.bank
-        sure = bank.coefficient - 1.5 * bank.coefficient_sd > self.reference
-        self.reference += (FOLLOWS_SURELY if sure else FOLLOWS) * (bank.coefficient - self.reference)
+        """The reference goes after the flow, slowly."""
+        self.reference += FOLLOWS * (self.bank.coefficient - self.reference)
 
     def learn(self, gained_mg: float) -> None:
         """From an opening and its tail: what the balance is, and the flow."""
@@ -292,7 +272,7 @@ class Knowledge:
         self.surge_mg = self.bank.surge_mg
         if phi_s <= 0.0:
             return
-        least_mg = max(LEAST_MG, 20.0 * noise_mg)
+        least_mg = TELLING * noise_mg
         if gained_mg > least_mg:
             self.balance = with_found(self.balance, balance_by(self.rows, self.begin_mg, gained_mg))
             self.error_mm = OPENING_ERROR_MM
@@ -310,17 +290,17 @@ class Knowledge:
         # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
         strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
         found = self.reference * (strongest / self.reference) ** self._told(gap_mm, phi_s)
-        if gained_mg > LEAST_MG:
+        if gained_mg > least_mg:
             self.seen = max(self.seen, found)
         elif gained_mg < RISEN * noise_mg:  # nothing at all, though something should have come
             self.seen *= SLOWER
         was_held_up = gained_mg < FREELY * self.reference * phi_s
         self.reference = max(found, SLOWER * self.reference)
-        spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
+        spread = max(self.belief.spread, 0.5 * (self.seen / self.reference - 1.0))
         if was_held_up:  # what comes when nothing is in its way is as little known as before
             spread = max(spread, self.spread)
         self.spread = min(spread, UNKNOWN_SPREAD)
-        if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
+        if gained_mg > least_mg:  # where nothing came the cone may have been empty
             self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
 
     def learn_coefficient(self, coefficient: float) -> None:
@@ -384,7 +364,7 @@ class Knowledge:
         weight = max(LEAST_WEIGHT, 1.0 / (belief.doses + 1.0))
         # The first dose corrects a guess; only from the second on do doses differ from what was learnt.
         if belief.doses == 0:
-            spread = max(belief.spread, GUESSED_SPREAD)
+            spread = belief.spread
         else:
             off = max(abs(ratio), math.log(max(self.seen_now, 1e-9) / belief.coefficient))
             spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(off * off, 1.0))
