@@ -83,6 +83,21 @@ def test_what_a_balance_shows_when_the_valve_has_long_been_shut_is_no_stronger_f
     assert known.surely == surely
 
 
+def test_powder_that_primed_late_is_known_for_how_it_flows_though_it_shows_when_the_valve_is_shut() -> None:
+    late = BalanceBelief(lag_s=0.5, doubt=0.08, shape="delay", fits=3, noise_mg=0.05)
+    known = Knowledge(request(powder=BEADS, balance=late))
+    scale = Scale(known, 0.0)
+    scale.act(1.0, 1.5)
+    per_reading_mg = 2.0 * BEADS.coefficient * PERIOD_S * known.shape.value(1.0)
+    scale.act(0.0, 0.5)
+    for _ in range(6):
+        scale.left_mg += per_reading_mg
+        scale.act(0.0, PERIOD_S)
+    scale.act(0.0, 1.0)
+    known.learn(scale.left_mg - known.begin_mg)
+    assert known.reference > 1.5 * BEADS.coefficient, "a third of the time it came, twice as strongly as believed"
+
+
 def test_a_first_opening_that_was_held_up_leaves_the_next_as_careful_and_one_that_was_not_does_not() -> None:
     held_up, free = Knowledge(request(powder=BEADS)), Knowledge(request(powder=BEADS))
     before_mm = free.begins_mm(480.0)

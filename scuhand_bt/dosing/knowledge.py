@@ -31,6 +31,8 @@ SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
 RISES, RISEN = 3, 3.0
 """Readings whose mean is above that of as many before, by so many standard deviations, still rise."""
+PEAK = 5
+"""Readings that a flow's peak is taken over."""
 TELLING = 20.0
 """Times the noise: openings that neither brought this together nor should have teach nothing yet."""
 STUCK_MM = 0.3
@@ -113,8 +115,9 @@ class Knowledge:
 
     def begin(self, mass_mg: float, sd_mg: float) -> None:
         """The balance is at rest, the valve shut, and this has been dosed, give or take `sd_mg`."""
-        self.begin_mg, self.surely = mass_mg, 0.0
-        """What had been dosed before, and the coefficient that powder has surely flowed with, in this opening."""
+        self.begin_mg, self._most_phi_s, self._shut_s = mass_mg, 0.0, 0.0
+        self.surely = 0.0
+        """The coefficient that powder has surely flowed with, in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.erratic = self.erratic
         self.hurries = self.balance.adapts and self.aim_mg - mass_mg > 2.0 * NEAR_MG
@@ -139,9 +142,22 @@ class Knowledge:
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
         self.seen_now = max(self.seen_now, self.surely)
+        peak = 0.0 if shaking else self._peak()
         if phi_s > 0.0:  # what rises in the tail is the balance's: one that adapts takes longer than its model
-            self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd)
+            self.surely, self._shut_s = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd), 0.0
+        self._shut_s += dt_s
+        if self._shut_s < self.bank.delay_s + PEAK * dt_s:  # powder that primed late shows when the valve is shut
+            self.surely = max(self.surely, peak)
         return score
+
+    def _peak(self) -> float:
+        """The flow's coefficient as the steepest rise shows it, whatever the balance: it shows no rise too steep."""
+        if len(self.rows) <= PEAK:
+            return 0.0
+        rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg
+        rise_mg -= TELLING * self.rows[-1].noise_mg + 5.0 * self.bank.surge_mg
+        self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
+        return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
 
     def _learn_noise(self, reading_mg: float, phi_s: float, shaking: bool) -> None:
         """From second differences, which a slowly changing mass leaves alone."""
