@@ -118,7 +118,7 @@ class Adaptive:
         if not known.knows_balance:
             for _ in range(LISTENED):
                 yield from known.act(0.0, 0.0)
-        known.begin(seen.net_mg, 2.0 * known.noise_mg[False])
+        known.begin(seen.net_mg, 2.0 * known.noise.quiet_mg)
         for _ in range(MOST_OPENINGS):
             ended = yield from self._open()
             means, variances = known.bank.coming(powers(*known.valve.closing(0.0)))
@@ -130,7 +130,7 @@ class Adaptive:
                 known.judge_prediction(predicted_mg, sd_mg)
             gained_mg = known.bank.mass_mg - known.begin_mg
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
-            came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise_mg[False])
+            came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise.quiet_mg)
             self._has_come |= came
             if came and self._vibration <= known.belief.vibration:
                 self._flowed_mg = known.bank.mass_mg
@@ -210,7 +210,7 @@ class Adaptive:
         while known.time_s - begin_s <= LONGEST_LOOK_S:
             yield from known.act(0.0, 0.0)
             shut = known.valve.opening_mm == 0.0
-            if shut and not known.is_rising and known.bank.unseen_mg < rest_mg + 2.0 * known.noise_mg[False]:
+            if shut and not known.is_rising and known.bank.unseen_mg < rest_mg + 2.0 * known.noise.quiet_mg:
                 return
 
     def _open(self) -> Generator[Command, Observation, Ended]:

@@ -23,6 +23,7 @@ from scuhand_bt.dosing.estimation import (
     Bank,
 )
 from scuhand_bt.dosing.identification import Row, balance_by, with_found
+from scuhand_bt.dosing.noise import Noise
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
 from scuhand_bt.specs import PowderBelief, Verdict
@@ -57,10 +58,6 @@ DIFFERS = 0.5
 """By how much the flow may differ from what is believed, as a logarithm."""
 LEAST_KEPT_SPREAD = 0.15
 """What doses are taken to differ by, at least."""
-SHAKING_NOISE_MG = 0.3
-"""Of a reading while the motor runs, until it was seen."""
-NOISE_GAIN, OUTLIER = 0.05, 12.0
-"""How fast the noise is learnt; a second difference of more standard deviations is no noise."""
 NEAR_MG = 20.0
 """On a balance that adapts an opening ends so far from the target, and the last of the dose comes out of others."""
 FOLLOWS = 0.04
@@ -76,8 +73,7 @@ class Knowledge:
         self.request, self.belief, self.balance = request, request.powder, request.balance
         self.shape = FlowShape(self.belief.threshold_mm, self.belief.exponent)
         self.valve = ValvePath(self.shape, request.valve_dead_time_s, request.valve_speed_mm_per_s)
-        self.noise_mg = {False: max(self.balance.noise_mg, self._digit_mg), True: SHAKING_NOISE_MG}
-        """Of a reading, by whether the motor runs."""
+        self.noise = Noise(self.balance.noise_mg, request.readability_mg)
         self.reference = self.belief.coefficient
         """The flow's coefficient when nothing is in its way."""
         self.spread = UNKNOWN_SPREAD if self.belief.doses == 0 else self.belief.spread
@@ -100,16 +96,11 @@ class Knowledge:
         self.rows: list[Row] = []
         self.narrowest_mm = max(self.belief.narrowest_mm / WIDER, NARROWEST_MM)
         """Above the threshold: from less, little comes. Each dose tries less than the one before."""
-        self._recent_mg: list[float] = []
         self._ratios: list[tuple[float, float, float]] = []
         """Of openings: what came [mg], the coefficient against the belief's as a logarithm, and the mean gap [mm]."""
         self._told_of = 0.0, 0.0, 0.0
         """Of openings that nothing was learnt from yet: what came [mg], the integral of phi, and how long [s]."""
         self.begin(0.0, 1.0)
-
-    @property
-    def _digit_mg(self) -> float:
-        return self.request.readability_mg / math.sqrt(12.0)
 
     # --- an opening ---
 
@@ -136,9 +127,9 @@ class Knowledge:
         phi_s, slope_s = self.valve.advance(self.time_s, seen.time_s)
         self.time_s = seen.time_s
         shaking = vibration > 0.0
-        self._learn_noise(seen.net_mg, phi_s, shaking)
+        noise_mg = self.noise.learn(seen.net_mg, self.bank.unseen_mg, shaking=shaking)
         changed = math.log(self._known_gap_mm / before_mm) if opening_mm > 0.0 else 0.0
-        row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
+        row = Row(dt_s, phi_s, slope_s, seen.net_mg, noise_mg, changed)
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
         self.seen_now = max(self.seen_now, self.surely)
@@ -159,20 +150,6 @@ class Knowledge:
         self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
         return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
 
-    def _learn_noise(self, reading_mg: float, phi_s: float, shaking: bool) -> None:
-        """From second differences, which a slowly changing mass leaves alone."""
-        recent = self._recent_mg
-        recent.append(reading_mg)
-        if len(recent) < 3:
-            return
-        second_mg = recent[-1] - 2.0 * recent[-2] + recent[-3]
-        del recent[0]
-        before_mg = self.noise_mg[shaking]
-        if self.bank.unseen_mg > 5.0 * before_mg or abs(second_mg) > OUTLIER * before_mg:
-            return
-        variance = (1.0 - NOISE_GAIN) * before_mg**2 + NOISE_GAIN * second_mg**2 / 6.0
-        self.noise_mg[shaking] = max(self._digit_mg, math.sqrt(variance))
-
     @property
     def is_rising(self) -> bool:
         """Whether readings still go up, whatever the models of the balance say."""
@@ -187,7 +164,7 @@ class Knowledge:
 
         Only what came more than that is held against it.
         """
-        more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise_mg[False])
+        more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise.quiet_mg)
         self.erratic += ERRATIC_GAIN * (min(2.0 * more * more, MOST_ERRATIC) - self.erratic)
         self.erratic = max(self.erratic, 1.0)
 
@@ -284,7 +261,7 @@ class Knowledge:
     def learn(self, gained_mg: float) -> None:
         """From an opening and its tail: what the balance is, and the flow."""
         phi_s = sum(row.phi_s for row in self.rows)
-        noise_mg = self.noise_mg[False]
+        noise_mg = self.noise.quiet_mg
         self.surge_mg = self.bank.surge_mg
         if phi_s <= 0.0:
             return
@@ -365,7 +342,7 @@ class Knowledge:
 
     def finish(self, reason: Reason, seen: Observation) -> Finish:
         """The dose's last word, with what was learnt."""
-        balance = self.balance.model_copy(update={"noise_mg": self.noise_mg[False]})
+        balance = self.balance.model_copy(update={"noise_mg": self.noise.quiet_mg})
         if reason in ("empty", "no_flow"):  # an empty cone says nothing of a width
             self.narrowest_mm = self.belief.narrowest_mm
         return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance, self.doubt)
