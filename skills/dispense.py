@@ -99,7 +99,7 @@ class Dispense(Skill[Dose]):
     )
     devices = ("hand", "balance")
     zones = ("pan",)
-    typical_s = 30.0
+    typical_s = 15.0
     interrupted = "reweigh"
 
     mass_mg: Annotated[Milligrams, Field(gt=0)]

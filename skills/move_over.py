@@ -24,7 +24,7 @@ class MoveOver(Skill[None]):
     raises = (Code.CONTAINER_MISSING,)
     devices = ("arm", "hand")
     zones = ("pan",)
-    typical_s = 4.0
+    typical_s = 1.5
     interrupted = "repeat"
 
     container: Container

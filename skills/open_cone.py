@@ -12,7 +12,7 @@ class OpenCone(Skill[None]):
     """
 
     devices = ("arm", "hand")
-    typical_s = 5.0
+    typical_s = 4.0
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:

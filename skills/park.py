@@ -7,7 +7,7 @@ class Park(Skill[None]):
     """Move the arm to its park station, clear of the balance and the mortars."""
 
     devices = ("arm",)
-    typical_s = 4.0
+    typical_s = 1.5
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:

@@ -26,7 +26,7 @@ class PlaceContainer(Skill[None]):
     raises = (Code.CONTAINER_MISSING, Code.CONTAINER_WRONG_MASS, Code.OPERATOR_REFUSED)
     devices = ("changer", "balance")
     zones = ("pan",)
-    typical_s = 20.0
+    typical_s = 16.0
     interrupted = "repeat"
 
     container: Container

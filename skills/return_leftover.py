@@ -12,7 +12,7 @@ class ReturnLeftover(Skill[None]):
 
     raises = (Code.HAND_WRONG_POWDER,)
     devices = ("arm", "hand")
-    typical_s = 15.0
+    typical_s = 5.0
     interrupted = "repeat"
 
     source: Source

@@ -56,7 +56,7 @@ class Scoop(Skill[Milligrams]):
 
     raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY, Code.ARM_NO_PATH)
     devices = ("arm", "hand")
-    typical_s = 12.0
+    typical_s = 13.0
     interrupted = "repeat"
 
     source: Source

@@ -12,7 +12,7 @@ class Tare(Skill[Milligrams]):
 
     raises = (Code.CONTAINER_MISSING,)
     devices = ("balance",)
-    typical_s = 4.0
+    typical_s = 1.0
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
