@@ -34,8 +34,8 @@ RISES, RISEN = 3, 3.0
 """Readings whose mean is above that of as many before, by so many standard deviations, still rise."""
 PEAK = 5
 """Readings that a flow's peak is taken over."""
-TELLING = 20.0
-"""Times the noise: openings that neither brought this together nor should have teach nothing yet."""
+LEAST_MG, TELLING = 2.0, 20.0
+"""Openings that neither brought this together nor should have, or so many times the noise, teach nothing yet."""
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
@@ -56,12 +56,12 @@ ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
 """How fast it is learnt that predictions are worse than they claim; and the most that one of them tells."""
 DIFFERS = 0.5
 """By how much the flow may differ from what is believed, as a logarithm."""
-LEAST_KEPT_SPREAD = 0.15
-"""What doses are taken to differ by, at least."""
+GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
+"""What doses are taken to differ by, at least: until a second one was seen, and ever."""
 NEAR_MG = 20.0
 """On a balance that adapts an opening ends so far from the target, and the last of the dose comes out of others."""
-FOLLOWS = 0.04
-"""How far the reference goes after the flow with each sight of it."""
+FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
+"""How far the reference goes after the flow with each sight of it; where the flow is surely stronger."""
 LEAST_WEIGHT = 0.2
 """What a dose counts beside those before, at least."""
 
@@ -145,8 +145,8 @@ class Knowledge:
         """The flow's coefficient as the steepest rise shows it, whatever the balance: it shows no rise too steep."""
         if len(self.rows) <= PEAK:
             return 0.0
-        rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg
-        rise_mg -= TELLING * self.rows[-1].noise_mg + 5.0 * self.bank.surge_mg
+        rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg - 4.0 * self.rows[-1].noise_mg
+        rise_mg -= LEAST_MG + 5.0 * self.bank.surge_mg
         self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
         return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
 
@@ -255,8 +255,10 @@ class Knowledge:
     # --- what is learnt ---
 
     def follow(self) -> None:
-        """The reference goes after the flow, slowly."""
-        self.reference += FOLLOWS * (self.bank.coefficient - self.reference)
+        """The reference goes after the flow: slowly, but at once where the flow is surely stronger."""
+        bank = self.bank
+        sure = bank.coefficient - 1.5 * bank.coefficient_sd > self.reference
+        self.reference += (FOLLOWS_SURELY if sure else FOLLOWS) * (bank.coefficient - self.reference)
 
     def learn(self, gained_mg: float) -> None:
         """From an opening and its tail: what the balance is, and the flow."""
@@ -265,7 +267,7 @@ class Knowledge:
         self.surge_mg = self.bank.surge_mg
         if phi_s <= 0.0:
             return
-        least_mg = TELLING * noise_mg
+        least_mg = max(LEAST_MG, TELLING * noise_mg)
         if gained_mg > least_mg:
             self.balance = with_found(self.balance, balance_by(self.rows, self.begin_mg, gained_mg))
             self.error_mm = OPENING_ERROR_MM
@@ -283,17 +285,17 @@ class Knowledge:
         # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
         strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
         found = self.reference * (strongest / self.reference) ** self._told(gap_mm, phi_s)
-        if gained_mg > least_mg:
+        if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
         elif gained_mg < RISEN * noise_mg:  # nothing at all, though something should have come
             self.seen *= SLOWER
         was_held_up = gained_mg < FREELY * self.reference * phi_s
         self.reference = max(found, SLOWER * self.reference)
-        spread = max(self.belief.spread, 0.5 * (self.seen / self.reference - 1.0))
+        spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
         if was_held_up:  # what comes when nothing is in its way is as little known as before
             spread = max(spread, self.spread)
         self.spread = min(spread, UNKNOWN_SPREAD)
-        if gained_mg > least_mg:  # where nothing came the cone may have been empty
+        if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
             self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
 
     def learn_coefficient(self, coefficient: float) -> None:
@@ -357,7 +359,7 @@ class Knowledge:
         weight = max(LEAST_WEIGHT, 1.0 / (belief.doses + 1.0))
         # The first dose corrects a guess; only from the second on do doses differ from what was learnt.
         if belief.doses == 0:
-            spread = belief.spread
+            spread = max(belief.spread, GUESSED_SPREAD)
         else:
             off = max(abs(ratio), math.log(max(self.seen_now, 1e-9) / belief.coefficient))
             spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(off * off, 1.0))
