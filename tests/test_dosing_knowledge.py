@@ -325,7 +325,7 @@ def test_a_cone_that_ran_empty_teaches_nothing_of_the_powder() -> None:
 def test_openings_that_bring_little_teach_together() -> None:
     known = Knowledge(request())
     scale = Scale(known, 0.25 * BEADS.coefficient)
-    references = [scale.opening(0.3, 0.3) for _ in range(40)]
+    references = [scale.opening(0.3, 0.5) for _ in range(40)]
     assert references[0] == BEADS.coefficient, "one alone is too little"
     assert references[-1] < 0.6 * BEADS.coefficient
     assert len(set(references)) < 20
