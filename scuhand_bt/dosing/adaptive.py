@@ -9,7 +9,6 @@ Where an opening brought nothing the next one is tried again, then shaken, gentl
 that nothing has come, all shaking notwithstanding, makes it believe in less flow, and so open wider.
 """
 
-import math
 from collections.abc import Generator
 from dataclasses import replace
 from typing import Literal
@@ -27,7 +26,6 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
-from scuhand_bt.dosing.estimation import powers
 from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
 from scuhand_bt.dosing.opening import SURPRISE, Opening, Seen
 from scuhand_bt.dosing.pulses import pulses
@@ -121,28 +119,10 @@ class Adaptive:
         known.begin(seen.net_mg, 2.0 * known.noise.quiet_mg)
         for _ in range(MOST_OPENINGS):
             ended = yield from self._open()
-            means, variances = known.bank.coming(powers(*known.valve.closing(0.0)))
-            predicted_mg = float(known.bank.weights @ means)
-            variances = variances / known.bank.erratic + (means - predicted_mg) ** 2
-            sd_mg = math.sqrt(float(known.bank.weights @ variances))
+            predicted_mg, sd_mg = known.predicted()
             yield from self._look(REST_MG)
-            if predicted_mg - known.begin_mg > 1.0:
-                known.judge_prediction(predicted_mg, sd_mg)
-            gained_mg = known.bank.mass_mg - known.begin_mg
-            expected_mg = known.reference * sum(row.phi_s for row in known.rows)
-            came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise.quiet_mg)
-            self._has_come |= came
-            if came and self._vibration <= known.belief.vibration:
-                self._flowed_mg = known.bank.mass_mg
-            if came or (self._vibration >= FULL and (self._has_come or self._barren_s > PRIMES_S)):
-                known.learn(gained_mg)
-            # Lumps come when they will: several openings must have been in vain before they say something of a width.
-            little = gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg)
-            enough = LUMPS_MISSED / LUMP_SHARE if self._lump_mg() else 2
-            in_vain = not came and self._fruitless >= enough if self._is_lumpy else little
-            if ended in ("quiet", "fear", "missing", "lump") and in_vain:
-                known.little_came()
-            self._shake(came)
+            known.judge_prediction(predicted_mg, sd_mg)
+            self._take_in(ended)
             gave_out = self._gave_out()
             if gave_out is None and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):
                 known.begin(float(np.mean([row.reading_mg for row in known.rows[-3:]])), 0.3)
@@ -153,6 +133,25 @@ class Adaptive:
             if verdict is not None:
                 return known.finish(verdict, seen)
         return known.finish("step_limit", seen)
+
+    def _take_in(self, ended: Ended) -> None:
+        """What an opening and its look have told."""
+        known = self._known
+        gained_mg = known.bank.mass_mg - known.begin_mg
+        expected_mg = known.reference * sum(row.phi_s for row in known.rows)
+        came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise.quiet_mg)
+        self._has_come |= came
+        if came and self._vibration <= known.belief.vibration:
+            self._flowed_mg = known.bank.mass_mg
+        if came or (self._vibration >= FULL and (self._has_come or self._barren_s > PRIMES_S)):
+            known.learn(gained_mg)
+        # Lumps come when they will: several openings must have been in vain before they say something of a width.
+        little = gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg)
+        enough = LUMPS_MISSED / LUMP_SHARE if self._lump_mg() else 2
+        in_vain = not came and self._fruitless >= enough if self._is_lumpy else little
+        if ended in ("quiet", "fear", "missing", "lump") and in_vain:
+            known.little_came()
+        self._shake(came)
 
     def _weigh(self) -> Generator[Command, Observation, Observation]:
         """A stable mean; again, and with doubts about the balance, while it is not what its readings led to expect."""

@@ -21,6 +21,7 @@ from scuhand_bt.dosing.estimation import (
     UNKNOWN_ERROR_MM,
     UNKNOWN_SPREAD,
     Bank,
+    powers,
 )
 from scuhand_bt.dosing.identification import Row, balance_by, with_found
 from scuhand_bt.dosing.noise import Noise
@@ -159,11 +160,20 @@ class Knowledge:
         rise_mg = sum(readings_mg[RISES:]) / RISES - sum(readings_mg[:RISES]) / RISES
         return rise_mg > RISEN * math.sqrt(2.0 / RISES) * self.rows[-1].noise_mg
 
+    def predicted(self) -> tuple[float, float]:
+        """Mean and standard deviation [mg] of what will have left once the valve is shut, if it is told to now."""
+        means, variances = self.bank.coming(powers(*self.valve.closing(0.0)))
+        mean_mg = float(self.bank.weights @ means)
+        variances = variances / self.bank.erratic + (means - mean_mg) ** 2
+        return mean_mg, math.sqrt(float(self.bank.weights @ variances))
+
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
         """What was predicted when the valve was told to shut, against what is known after the look.
 
-        Only what came more than that is held against it.
+        Only what came more than that is held against it; of next to nothing nothing is learnt.
         """
+        if predicted_mg - self.begin_mg <= 1.0:
+            return
         more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise.quiet_mg)
         self.erratic += ERRATIC_GAIN * (min(2.0 * more * more, MOST_ERRATIC) - self.erratic)
         self.erratic = max(self.erratic, 1.0)
