@@ -121,7 +121,8 @@ class Adaptive:
             ended = yield from self._open()
             predicted_mg, sd_mg = known.predicted()
             yield from self._look(REST_MG)
-            known.judge_prediction(predicted_mg, sd_mg)
+            if predicted_mg - known.begin_mg > 1.0:
+                known.judge_prediction(predicted_mg, sd_mg)
             self._take_in(ended)
             gave_out = self._gave_out()
             if gave_out is None and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):

@@ -170,10 +170,8 @@ class Knowledge:
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
         """What was predicted when the valve was told to shut, against what is known after the look.
 
-        Only what came more than that is held against it; of next to nothing nothing is learnt.
+        Only what came more than that is held against it.
         """
-        if predicted_mg - self.begin_mg <= 1.0:
-            return
         more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise.quiet_mg)
         self.erratic += ERRATIC_GAIN * (min(2.0 * more * more, MOST_ERRATIC) - self.erratic)
         self.erratic = max(self.erratic, 1.0)
