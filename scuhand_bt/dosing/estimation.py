@@ -40,6 +40,8 @@ OPENING_ERROR_MM, UNKNOWN_ERROR_MM = 0.05, 0.15
 first the threshold is a guess as well."""
 UNSTEADY_S = 0.05
 """While the flow changes, what lands weighs otherwise than what is in flight: so many seconds of the change."""
+LEAST_MISFIT = 0.01
+"""No balance is just its model: the share of what is unseen that every model is taken to be off by, at least."""
 UNEVEN = 0.1
 """How unevenly powder flows: the relative standard deviation of what comes in a second."""
 TEMPER = 0.2
@@ -106,7 +108,7 @@ class Bank:
 
     def __init__(self, models: Sequence[Model], weights: Array, surge_mg: float, misfit: float) -> None:
         """`weights` (H,) need not add up to 1."""
-        self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), misfit
+        self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
         """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
         self.models, self.weights = list(models), weights / weights.sum()
         self.delays_s = np.array([model.delay_s for model in self.models])

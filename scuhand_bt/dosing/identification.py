@@ -52,8 +52,8 @@ BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 """Powder may begin to come so long after the valve was told to open."""
 INDEPENDENT = 10.0
 """Of the differences between readings and a model, as many are independent of each other."""
-SETTLED = 3.0
-"""In so many delays a balance shows what came of an opening."""
+MASS_ERROR_MG, SETTLED = 0.1, 3.0
+"""What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
 
 
 class Row(NamedTuple):
@@ -140,7 +140,7 @@ def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> Balanc
     spread_s = math.sqrt(weights @ (delays_s - delays_s[best]) ** 2 / weights.sum())
     area_s = float(np.maximum(np.abs(off_mg[best]) - noise_mg, 0.0) @ dt_s) / gained_mg
     looked_s = float(dt_s[phi_s > 0.0].sum()) + SETTLED * delays_s[best]
-    doubt_s = math.hypot(spread_s, area_s, noise_mg[-1] / gained_mg * looked_s)
+    doubt_s = math.hypot(spread_s, area_s, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
     return BalanceBelief(
         lag_s=min(float(delays_s[best]), LONGEST_S) / 2.0,
         doubt=math.hypot(OPENING_DOUBT, math.log1p(doubt_s / delays_s[best])),
