@@ -47,6 +47,8 @@ SEEN_S = 0.4
 """So long after the balance's delay it is seen whether the sheet has stuck."""
 AIM_UNDER_MG = 0.1
 """Too little can be corrected, too much cannot."""
+LEAST_SPARE_MG = 0.5
+"""Above the target, where the balance is too uncertain for any verdict."""
 SLACK_S = 0.1
 """Between a reading and the command that answers it."""
 GENTLE, FULL = 0.4, 1.0
@@ -182,7 +184,7 @@ class Knowledge:
     def most_mg(self) -> float:
         """No more may leave: a stable mean would call it too much."""
         spare_mg = self.request.tolerance_mg - COVERAGE * self.uncertainty_mg
-        return self.request.target_mg + max(spare_mg, 0.0)
+        return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
 
     @property
     def least_mg(self) -> float:

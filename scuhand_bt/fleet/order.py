@@ -81,7 +81,7 @@ def write(files: Files, folder: Path) -> None:
 
 
 def _tables(plan: Plan) -> Iterator[str]:
-    """The tables that a recipe names, each once."""
+    """The tables that a recipe names."""
     path = plan.recipe.path
     for table in tables_named(plan.recipe.text, str(path)):
         name = table.text or ""
