@@ -9,6 +9,7 @@ import math
 import os
 import random
 import signal
+import tempfile
 import time
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
@@ -109,10 +110,15 @@ class Deadly(BatchObserver):
 
 
 def make_batch(recipe: Path, folder: Path, seed: int, motion: MotionPlanner | None = None) -> Batch:
-    """Read a recipe, and plan its motions unless that is done."""
+    """Read a recipe, and plan its motions unless that is done: those of a whole run, which every child would plan."""
     lab = load_lab(find_lab(recipe))
     plan = make_plan(load_recipe(recipe, lab), lab)
-    return Batch(plan, lab, motion or prepared_motion(plan, lab), folder, seed)
+    if motion is None:
+        motion = prepared_motion(plan, lab)
+        with tempfile.TemporaryDirectory() as apart:
+            with closing(Session(plan, lab, Options(DryRun(seed), folder=Path(apart)), motion)) as session:
+                session.run(BatchObserver())
+    return Batch(plan, lab, motion, folder, seed)
 
 
 @dataclass(frozen=True)

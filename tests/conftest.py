@@ -44,8 +44,12 @@ REPOSITORY = Path(__file__).parent.parent
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Caches of these tests' own, shared by the processes that run them: most plan the same ways of the same arm."""
+    """Caches of these tests' own, shared by the processes that run them: most plan the same ways of the same arm.
+
+    And compiled modules are kept: hundreds of commands are begun in processes of their own.
+    """
     if not hasattr(config, "workerinput"):
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
         caches = tempfile.mkdtemp(prefix="scuhand-caches-")
         os.environ["XDG_CACHE_HOME"] = caches
         config.add_cleanup(lambda: shutil.rmtree(caches, ignore_errors=True))
