@@ -136,8 +136,10 @@ DRIVERS: list[tuple[str, str, dict[str, str]]] = [
 
 def found_at_once(drivers: Iterable[tuple[str, str, dict[str, str]]]) -> dict[str, BaseException | None]:
     """What each of them fails by, if it does: at a wire there is much more to wait for than to compute."""
-    with ThreadPoolExecutor(16) as pool:
-        asked = {f"{kind} {name}": pool.submit(conformance.conforms, kind, name, **more) for kind, name, more in drivers}
+    with ThreadPoolExecutor(4) as pool:
+        asked = {
+            f"{kind} {name}": pool.submit(conformance.conforms, kind, name, **more) for kind, name, more in drivers
+        }
         return {name: one.exception() for name, one in asked.items()}
 
 
@@ -207,7 +209,6 @@ def test_drivers_with_a_mistake_do_not_conform(tmp_path: Path, monkeypatch: pyte
     found = found_at_once(drivers)
     assert len(found) == len(MISTAKES)
     assert [name for name, wrong in found.items() if not isinstance(wrong, AssertionError | SkillFailed)] == []
-
 
 
 UNASKED = """
