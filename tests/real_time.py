@@ -1,6 +1,5 @@
 """Tests in real time, marked `real_time`, on a computer that may have other work.
 
-They wait more than they compute, so that others run beside them: they go before those, where the user may say so.
 One that fails while the computer is too busy to keep time says little, so it is tried again, twice at the most, each
 time once the load has fallen or after a minute. If it still fails it fails, with the load in its message; it is never
 skipped. One that fails on a computer that keeps time has failed.
@@ -9,8 +8,7 @@ skipped. One that fails on a computer that keeps time has failed.
 import os
 import threading
 import time
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import pytest
@@ -19,8 +17,6 @@ from _pytest.runner import runtestprotocol  # no public hook runs a test again w
 ATTEMPTS = 3
 WAIT_S = 60.0
 """The longest wait for the load to fall, before another attempt."""
-FIRST = 5
-"""Steps of niceness: three times the share of a processor that another has."""
 LATE_MS = 20.0
 """A computer that wakes a thread so late, or has more to do than cores, is no measure of times."""
 
@@ -69,7 +65,7 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for attempt in range(1, ATTEMPTS + 1):
-        with _going_first(), Metronome() as metronome:
+        with Metronome() as metronome:
             item.stash[METRONOME], item.stash[ATTEMPT] = metronome, attempt
             reports = runtestprotocol(item, nextitem=nextitem, log=False)
         goes_on = attempt < ATTEMPTS and metronome.business.is_too_much
@@ -98,17 +94,6 @@ def pytest_runtest_makereport(
 
 def pytest_report_teststatus(report: pytest.TestReport) -> tuple[str, str, str] | None:
     return ("retried", "R", "RETRIED") if report.outcome == "retried" else None
-
-
-@contextmanager
-def _going_first() -> Iterator[None]:
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    with suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, before - FIRST)
-    try:
-        yield
-    finally:
-        os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
 def _wait_for_quiet() -> None:
