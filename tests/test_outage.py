@@ -23,6 +23,8 @@ from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.sim.fault_rules import parse_faults
 
+pytestmark = pytest.mark.xdist_group("outage")  # one process makes what all of them share
+
 HEAD = """
 recipe: cut
 workflow: fill_xrd_holder
