@@ -320,7 +320,7 @@ def test_an_arm_of_others_is_not_rehearsed_by_an_arm_of_ours(lab_folder: LabFold
 
 
 WATCHES_AIR = """
-from scuhand_bt.devices.interfaces import Scanner, Sensor
+from scuhand_bt.devices.instruments import Scanner, Sensor
 from scuhand_bt.skill import Cell, Skill, Steps
 
 

@@ -12,7 +12,8 @@ from scuhand_bt.cell.in_the_way import TIMEOUT_S
 from scuhand_bt.cell.places import all_places
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.connect import connect_cell_devices
-from scuhand_bt.devices.interfaces import Operator, Watcher
+from scuhand_bt.devices.instruments import Watcher
+from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.events import ArmFreed, SkillEvent, WayObstructed
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read

@@ -110,7 +110,8 @@ class Cell:
     def device(self, name: str) -> Any:
         """A device by the name that skills lease it under: arm, hand, balance, changer, or that of `devices:`.
 
-        It meets the Protocol of its kind (`devices/interfaces.py`); a skill says which: `a: Sensor = cell.device("a")`.
+        It meets the Protocol of its kind (`devices/instruments.py`); a skill says which:
+        `a: Sensor = cell.device("a")`.
         """
         return getattr(self, name) if name in DEVICES else self.devices[name]
 
