@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.devices_wires import Figures, Swaying, comes
-from scuhand_bt.cell_spec import ArmSpec, HandSpec
 from scuhand_bt.clock import Signal, Wake
+from scuhand_bt.device_specs.arm import ArmSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain

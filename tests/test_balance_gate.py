@@ -20,7 +20,7 @@ from harness.falsify import Falsifier
 from harness.worlds import BY_NAME
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.weighing import require_known_delay, shown_step
-from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceLimits, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.dosing.characteristic import Step, held_mg, is_frozen

@@ -9,7 +9,7 @@ from conftest import Call, Desk, LabFolder
 from running import HEAD, Watching, dry_run, shared_planner
 
 from scuhand_bt.cell.believed import Believed, is_used_up, slot_of
-from scuhand_bt.cell_spec import ChangerSpec
+from scuhand_bt.device_specs.changer import ChangerSpec
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry, counted_otherwise
 from scuhand_bt.problems import SourceError

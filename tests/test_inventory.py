@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from running import Watching, dry_run, shared_planner
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell_spec import BalanceLimits
 from scuhand_bt.clock import Steps
+from scuhand_bt.device_specs.balance import BalanceLimits
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState

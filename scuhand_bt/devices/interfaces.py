@@ -18,8 +18,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from scuhand_bt.cell_spec import BalanceSpec, HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.events import Line, Weighing
 from scuhand_bt.failures import SkillFailed

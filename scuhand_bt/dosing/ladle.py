@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 
 LIP_GAP_MM = 0.1
 """Between the lip and the wall of a stroke that takes all there is."""

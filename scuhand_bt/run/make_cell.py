@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Protocol
 
 from scuhand_bt.cell.believed import slot_of as believed_slot
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.clock import Clock
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness

@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, ArmOptions, HandSpec
 from scuhand_bt.clock import Clock
+from scuhand_bt.device_specs.arm import ArmOptions
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount
