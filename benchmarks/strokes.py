@@ -36,10 +36,10 @@ from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.recipe.plan import Plan
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.specs import Mortar
 
 RESULTS = Path(__file__).with_name("strokes_results.json")

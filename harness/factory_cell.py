@@ -24,7 +24,7 @@ from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.lab import Lab, load_lab, starter_lab, state_folder
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
-from scuhand_bt.run.make_cell import bench_of
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.operator import Person
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.wire.servo import Servo

@@ -31,11 +31,11 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun, Rehearsal
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun, Rehearsal
 from scuhand_bt.run.twins import WORLD, folder_of_run, have_their_process, say
 from scuhand_bt.sim.fault_rules import FaultFile
 from scuhand_bt.sim.world import masses_in

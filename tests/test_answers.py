@@ -32,9 +32,9 @@ from scuhand_bt.run import control as control_module
 from scuhand_bt.run.batch import ANSWERS
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.control import HEARD, Control, WishListener, say_answer, say_wish, waiting_question
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.operator import Person, PersonOperator
 from scuhand_bt.run.questions import MEANINGS, Given, Questions, Who
+from scuhand_bt.run.simulation import DryRun
 from tests.test_journal import HEADER
 
 USER = pwd.getpwuid(os.getuid()).pw_name

@@ -16,10 +16,10 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Job, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.inventory_conflicts import conflicts, recall
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, find_run, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.specs import Container
 
 SLOTS = ChangerSpec(slots={"holder": 2, "die": 3})

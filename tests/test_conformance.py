@@ -18,8 +18,8 @@ from scuhand_bt.journal.reader import read
 from scuhand_bt.kit.new_device import TEMPLATES, write_device
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import SourceError
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.wire.balances import balance_twin
 from scuhand_bt.skill import Cell, Skill, Steps
 from scuhand_bt.testing import at_the_wire, conformance, of_balances, of_motion

@@ -22,8 +22,8 @@ from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.run.control import Control, WishListener
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.questions import MEANINGS
+from scuhand_bt.run.simulation import DryRun
 from tests.test_journal import HEADER
 from tests.test_resume import Watch
 

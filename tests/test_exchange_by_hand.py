@@ -19,11 +19,11 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.operator import ANSWER_S, OperatorChanger, Person, PersonOperator, SimulatedOperator
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.questions import Questions, Who
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.specs import Container
 
 RECIPE = """

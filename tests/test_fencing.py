@@ -18,10 +18,10 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
 from scuhand_bt.report.proof import proof_of
 from scuhand_bt.run.holds import take_cell, take_run
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 
 @pytest.fixture

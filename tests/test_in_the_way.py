@@ -20,8 +20,8 @@ from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.record import Record
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.cell import simulated_cell
 
 AT_MOST_S = 300.0

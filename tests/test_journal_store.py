@@ -22,7 +22,7 @@ from scuhand_bt.journal.store import Row, Store
 from scuhand_bt.journal.writer import LOOK_S, Journal
 from scuhand_bt.lab import load_lab
 from scuhand_bt.record import Record, RecordLost
-from scuhand_bt.run.make_cell import Rehearsal
+from scuhand_bt.run.simulation import Rehearsal
 from scuhand_bt.skill import Skill
 
 NOTE = Note("lab.note", {})

@@ -26,10 +26,10 @@ from scuhand_bt.report.live import PlainLines
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, find_run, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.skill import Condition, Ratio, Seconds, Skill, SkillFailed, pause
 
 RECIPE = """

@@ -21,9 +21,9 @@ from scuhand_bt.lab_state.inventory import Inventory, Stock
 from scuhand_bt.lab_state.ledger import Ledger, Occasion
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
-from scuhand_bt.run.make_cell import DryRun, Simulation
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.simulation import DryRun, Simulation
 from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 
 

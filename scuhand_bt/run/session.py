@@ -30,13 +30,14 @@ from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.lab_records import LabRecords
-from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
+from scuhand_bt.run.make_cell import set_up
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import ON_TWINS, Options, check_controller, described
 from scuhand_bt.run.outage import settle_arm, settle_outage, settle_roller
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
+from scuhand_bt.run.simulation import DryRun, Rehearsal
 from scuhand_bt.run.single_step import SingleStep
 from scuhand_bt.run.twins import folder_of_run
 from scuhand_bt.skill import SkillFailed
