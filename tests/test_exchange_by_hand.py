@@ -17,8 +17,8 @@ from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.clock import VirtualClock, WallClock
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.operator import ANSWER_S, OperatorChanger, Person, PersonOperator, SimulatedOperator
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.questions import Questions, Who

@@ -14,7 +14,7 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import checked_history, resumable

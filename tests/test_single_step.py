@@ -15,7 +15,7 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options, options_of
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Question, Who

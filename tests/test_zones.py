@@ -19,8 +19,8 @@ from scuhand_bt.motion import ApexPose, MotionPlanner, places
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.record import Record
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun

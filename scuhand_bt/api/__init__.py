@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from scuhand_bt.problems import Problem, SourceError
     from scuhand_bt.recipe.plan import Plan
     from scuhand_bt.recipe.sample import Sample
-    from scuhand_bt.run.batch import BatchObserver, Observers
     from scuhand_bt.run.checking import Checked
     from scuhand_bt.run.control import Control, Wish
+    from scuhand_bt.run.observers import BatchObserver, Observers
     from scuhand_bt.run.operator import Person
     from scuhand_bt.run.options import check_controller
     from scuhand_bt.run.outcome import BatchResult
@@ -70,9 +70,9 @@ else:
             "problems": "Problem SourceError",
             "recipe.plan": "Plan",
             "recipe.sample": "Sample",
-            "run.batch": "BatchObserver Observers",
             "run.checking": "Checked",
             "run.control": "Control Wish",
+            "run.observers": "BatchObserver Observers",
             "run.operator": "Person",
             "run.options": "check_controller",
             "run.outcome": "BatchResult",

@@ -206,7 +206,7 @@ def closing(session: "Session", on_event: OnEvent | None = None) -> Iterator["Se
 
 def ran(session: "Session", on_sample: OnSample | None, on_event: OnEvent | None) -> Result:
     """What a session comes to, which is closed then."""
-    from scuhand_bt.run.batch import BatchObserver
+    from scuhand_bt.run.observers import BatchObserver
 
     class Samples(BatchObserver):
         def sample_ended(self, result: SampleResult) -> None:

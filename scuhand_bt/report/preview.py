@@ -17,7 +17,7 @@ from scuhand_bt.report import viewer
 from scuhand_bt.report.doses import amount_cell, asked_cells
 from scuhand_bt.report.page import rendered
 from scuhand_bt.report.run_scene import run_motions, scene_of
-from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun

@@ -23,7 +23,7 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
-from scuhand_bt.run.batch import Batch, BatchObserver
+from scuhand_bt.run.batch import Batch
 from scuhand_bt.run.cell_state import MotionRecord, state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
@@ -31,6 +31,7 @@ from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import set_up
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import ON_TWINS, Options, check_controller, described
 from scuhand_bt.run.outage import settle_arm, settle_outage, settle_roller
