@@ -18,7 +18,7 @@ from unittest.mock import patch
 from benchmarks.figures import show
 from harness.damaged_journals import mutations
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Event, Note
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab, starter_lab

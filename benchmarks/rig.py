@@ -34,7 +34,8 @@ from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import CONTROLLERS, new_controller
 from scuhand_bt.dosing.bracket import Drift, Net, Reference
 from scuhand_bt.dosing.verdict import judge
-from scuhand_bt.events import Dose, Note, SkillEvent
+from scuhand_bt.events.doses import Dose
+from scuhand_bt.events.entry import Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.results import DoseResult
 from scuhand_bt.lab import load_lab

@@ -19,7 +19,7 @@ from typing import Any
 
 from py_trees.common import Status
 
-from scuhand_bt.events import Event, Note
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.hash_chain import verify
 from scuhand_bt.journal.history import read_history

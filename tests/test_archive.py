@@ -13,7 +13,8 @@ import pytest
 from conftest import Call
 
 from scuhand_bt.api import PastRun
-from scuhand_bt.events import Dose, DoseWeighed, Line, Tared
+from scuhand_bt.events.doses import Dose
+from scuhand_bt.events.weighings import DoseWeighed, Line, Tared
 from scuhand_bt.journal.archive import summaries
 from scuhand_bt.journal.events import (
     Answered,

@@ -12,7 +12,9 @@ from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing import CONTROLLERS, Command, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
-from scuhand_bt.events import Dose, DoseWeighed, Note, SkillEvent
+from scuhand_bt.events.doses import Dose
+from scuhand_bt.events.entry import Note, SkillEvent
+from scuhand_bt.events.weighings import DoseWeighed
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import Record

@@ -10,7 +10,7 @@ from running import make_lab, shared_planner
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.clock import carried_out
 from scuhand_bt.devices.interfaces import SEEN
-from scuhand_bt.events import BracketClosed
+from scuhand_bt.events.weighings import BracketClosed
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import Answered, Asked, Trouble
 from scuhand_bt.journal.reader import read

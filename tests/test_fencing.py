@@ -9,7 +9,7 @@ from running import make_lab
 from test_resume import Run, Watch, actions
 
 from scuhand_bt.api import interrupted
-from scuhand_bt.events import Note
+from scuhand_bt.events.entry import Note
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.journal.writer import Journal

@@ -14,7 +14,8 @@ from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.connect import connect_cell_devices
 from scuhand_bt.devices.instruments import Watcher
 from scuhand_bt.devices.interfaces import Operator
-from scuhand_bt.events import ArmFreed, SkillEvent, WayObstructed
+from scuhand_bt.events.cell import ArmFreed, WayObstructed
+from scuhand_bt.events.entry import SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab

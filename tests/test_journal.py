@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from harness.damaged_journals import Judge, mutations
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Dose, Pulsed, Tared
+from scuhand_bt.events.doses import Dose, Pulsed
+from scuhand_bt.events.weighings import Tared
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Ended, JobEnded, JobStarted, Paused, Resumed, RunBegun
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.hash_chain import COLUMNS

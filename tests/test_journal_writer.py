@@ -18,7 +18,9 @@ from dose_bench import DISH, MORTAR, shipped_powders
 from pydantic import BaseModel, Field
 
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Discarded, Dose, Note, Pulsed, Returned, SheetSwapped
+from scuhand_bt.events.cell import Discarded, Returned, SheetSwapped
+from scuhand_bt.events.doses import Dose, Pulsed
+from scuhand_bt.events.entry import Note
 from scuhand_bt.journal import store, writer
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted, Trouble
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify

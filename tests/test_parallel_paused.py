@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from running import Watching, make_lab, shared_planner
 
-from scuhand_bt.events import Event, Note
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.events import Paused
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import load_lab

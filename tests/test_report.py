@@ -15,7 +15,8 @@ from page_text import Tables
 from running import Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
-from scuhand_bt.events import DoseBegun, Scooped
+from scuhand_bt.events.cell import Scooped
+from scuhand_bt.events.weighings import DoseBegun
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,

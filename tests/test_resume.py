@@ -14,7 +14,7 @@ from running import HEAD, make_lab, shared_planner
 
 from harness.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
 from scuhand_bt.clock import Steps
-from scuhand_bt.events import Event, Note
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.events import Paused
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import read

@@ -24,7 +24,7 @@ from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
-from scuhand_bt.events import ArmFreed
+from scuhand_bt.events.cell import ArmFreed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller

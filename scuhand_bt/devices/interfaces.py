@@ -22,7 +22,7 @@ from scuhand_bt.clock import Clock, Signal, Steps
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.liveness import Liveness
-from scuhand_bt.events import Line, Weighing
+from scuhand_bt.events.weighings import Line, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.axes import SomeAxes
 from scuhand_bt.specs import Container

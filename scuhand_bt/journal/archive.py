@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from scuhand_bt.events import DoseCurve
+from scuhand_bt.events.doses import DoseCurve
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.events import (
     ActionEnded,

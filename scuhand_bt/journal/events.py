@@ -1,6 +1,6 @@
 """The engine's own kinds of entries: of the run, its jobs and their actions; those of samples are in `results.py`.
 
-Those that skills write are in `scuhand_bt/events.py`, all of them in `kinds.py`.
+Those that skills write are in `scuhand_bt/events`, all of them in `kinds.py`.
 
 Fields with a default are absent in journals of before they were written.
 """
@@ -9,7 +9,8 @@ from typing import ClassVar
 
 from pydantic import ConfigDict, Field, JsonValue
 
-from scuhand_bt.events import Event, Text, Values, Weighing
+from scuhand_bt.events.entry import Event, Text, Values
+from scuhand_bt.events.weighings import Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.results import Chosen, SampleResult
 

@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import DoseCurve, Event
+from scuhand_bt.events.doses import DoseCurve
+from scuhand_bt.events.entry import Event
 from scuhand_bt.journal.events import ArmMoves, Ended, Matter, WorkflowTree
 from scuhand_bt.journal.kinds import KINDS
 from scuhand_bt.journal.plain import json_parts

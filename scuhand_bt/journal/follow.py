@@ -12,7 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import SKILL_EVENTS, BracketClosed, ContainerPlaced, DoseCurve, Event, Weighing
+from scuhand_bt.events.catalogue import SKILL_EVENTS
+from scuhand_bt.events.doses import DoseCurve
+from scuhand_bt.events.entry import Event
+from scuhand_bt.events.weighings import BracketClosed, ContainerPlaced, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import (
     ActionEnded,

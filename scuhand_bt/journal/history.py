@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import ContainerDiscarded, Dose, Event, ValueRecorded
+from scuhand_bt.events.doses import Dose, ValueRecorded
+from scuhand_bt.events.entry import Event
+from scuhand_bt.events.weighings import ContainerDiscarded
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,

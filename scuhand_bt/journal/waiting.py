@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from scuhand_bt.events import Event
+from scuhand_bt.events.entry import Event
 from scuhand_bt.journal.events import ActionEnded, Answered, Asked, Ended, Resumed
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import BracketClosed, ContainerPlaced
+from scuhand_bt.events.weighings import BracketClosed, ContainerPlaced
 from scuhand_bt.journal.events import ArmMoves, RunBegun
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.kinds import parsed

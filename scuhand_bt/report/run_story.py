@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from scuhand_bt.events import Dose, Pulsed
+from scuhand_bt.events.doses import Dose, Pulsed
 from scuhand_bt.journal.events import (
     Answered,
     Asked,

@@ -16,16 +16,15 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from scuhand_bt.events import (
+from scuhand_bt.events.doses import Dose, Pulsed
+from scuhand_bt.events.entry import Event
+from scuhand_bt.events.weighings import (
     BracketClosed,
     ContainerAgain,
     ContainerLifted,
     ContainerPlaced,
-    Dose,
     DoseWeighed,
-    Event,
     Line,
-    Pulsed,
     Reweighed,
     Tared,
     Weighed,

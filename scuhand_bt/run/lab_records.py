@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.events import Event, Note
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.events import Asked, Paused, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab

@@ -9,7 +9,8 @@ from collections import Counter, defaultdict
 from functools import lru_cache
 from pathlib import Path
 
-from scuhand_bt.events import Discarded, Event, Kept, Note, Refilled, Returned, Scooped
+from scuhand_bt.events.cell import Discarded, Kept, Refilled, Returned, Scooped
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
