@@ -15,9 +15,10 @@ from pathlib import Path
 
 from benchmarks.batch import generated_recipe
 from benchmarks.figures import show
-from scuhand_bt.journal.events import Ended, JobStarted
+from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.journal.reader import open_journal
+from scuhand_bt.journal.run_events import Ended
 from scuhand_bt.journal.store import Store
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import make_plan

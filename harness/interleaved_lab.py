@@ -49,7 +49,7 @@ tree:
 SKILL = '''
 """A skill that does what none may."""
 import sys
-from scuhand_bt.journal.events import Ended
+from scuhand_bt.journal.run_events import Ended
 from scuhand_bt.skill import Cell, Skill, Steps, pause
 
 class Careless(Skill[None]):

@@ -22,10 +22,11 @@ from test_resume import Run, Watch
 from test_stopping import as_nobody
 
 from scuhand_bt.journal.archive import summary
-from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, Asked, JobStarted, RunBegun, Trouble
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, Asked, JobStarted
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import RunBegun, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab_state.persons import Persons
 from scuhand_bt.run import control as control_module

@@ -12,8 +12,9 @@ from scuhand_bt.clock import carried_out
 from scuhand_bt.devices.interfaces import SEEN
 from scuhand_bt.events.weighings import BracketClosed
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.journal.events import Answered, Asked, Trouble
+from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Trouble
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe

@@ -22,10 +22,11 @@ from scuhand_bt.events.cell import Discarded, Returned, SheetSwapped
 from scuhand_bt.events.doses import Dose, Pulsed
 from scuhand_bt.events.entry import Note
 from scuhand_bt.journal import store, writer
-from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted, Trouble
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify
 from scuhand_bt.journal.plain import plain, to_json
 from scuhand_bt.journal.results import SoFar
+from scuhand_bt.journal.run_events import Trouble
 from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.journal.writer import FLUSH_S, Journal
 from scuhand_bt.record import RecordLost

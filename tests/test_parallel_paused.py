@@ -7,8 +7,8 @@ import pytest
 from running import Watching, make_lab, shared_planner
 
 from scuhand_bt.events.entry import Event, Note
-from scuhand_bt.journal.events import Paused
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Paused
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe

@@ -15,9 +15,9 @@ from running import HEAD, make_lab, shared_planner
 from harness.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
 from scuhand_bt.clock import Steps
 from scuhand_bt.events.entry import Event, Note
-from scuhand_bt.journal.events import Paused
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Paused
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan

@@ -23,22 +23,18 @@ from scuhand_bt.journal.events import (
     Answered,
     ArmMoves,
     Asked,
-    Continued,
     Decided,
-    Ended,
     Frames,
     JobEnded,
     JobResumed,
     JobStarted,
-    Paused,
-    Resumed,
-    RunBegun,
     TreeNode,
     WorkflowTree,
 )
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import open_journal
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
 from scuhand_bt.journal.waiting import Waiting
 
 _OF_RUN = (

@@ -24,8 +24,9 @@ from scuhand_bt.events.weighings import (
     Tared,
     WeightChecked,
 )
-from scuhand_bt.journal.events import Answered, ArmMoves, Asked, Continued, Ended, Paused, Resumed
+from scuhand_bt.journal.events import Answered, ArmMoves, Asked
 from scuhand_bt.journal.reader import Contents
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed
 
 Activity = Literal[
     "other",

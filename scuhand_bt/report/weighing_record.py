@@ -31,10 +31,11 @@ from scuhand_bt.events.weighings import (
     Weighing,
     WeightChecked,
 )
-from scuhand_bt.journal.events import ContainerReweighed, JobStarted, PanCompared, Resumed, RunBegun, SourceUsed
+from scuhand_bt.journal.events import ContainerReweighed, JobStarted, PanCompared
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Resumed, RunBegun, SourceUsed
 from scuhand_bt.problems import harmless
 
 CONVENTION = (

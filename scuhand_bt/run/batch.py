@@ -10,9 +10,10 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.devices.liveness import Hung
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import Broken, Ended, JobEnded, JobStarted
+from scuhand_bt.journal.events import JobEnded, JobStarted
 from scuhand_bt.journal.history import STOPPED, History, read_history
 from scuhand_bt.journal.results import Chosen, SampleResult, SampleVerdict, SoFar
+from scuhand_bt.journal.run_events import Broken, Ended
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries
 from scuhand_bt.recipe.sample import Sample

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.events.entry import Event, Note
-from scuhand_bt.journal.events import Asked, Paused, Trouble
+from scuhand_bt.journal.events import Asked
+from scuhand_bt.journal.run_events import Paused, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState

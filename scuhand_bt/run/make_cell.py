@@ -15,7 +15,7 @@ from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.roller import FILE_NAME as ROLLER_FILE
-from scuhand_bt.journal.events import NotResumable
+from scuhand_bt.journal.run_events import NotResumable
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import MotionPlanner

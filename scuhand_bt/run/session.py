@@ -13,7 +13,7 @@ import scuhand_bt
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Reading, is_twin
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.journal.events import Broken, Ended, FaultRules, Matter, Resumed, RuleAccount, Trouble
+from scuhand_bt.journal.run_events import Broken, Ended, FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.lab_db import user_name
