@@ -23,11 +23,11 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import Job, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 ROOT = starter_lab()
 WINDOW = 20

@@ -29,8 +29,8 @@ from scuhand_bt.lab import load_lab, state_folder
 from scuhand_bt.motion.kinematics import Mount, apex
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.hands import check_weight
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.questions import Who

@@ -32,8 +32,9 @@ from playwright.sync_api import sync_playwright
 from benchmarks.batch import generated_recipe
 from benchmarks.figures import show
 from scuhand_bt.dashboard.serving import listen_at
-from scuhand_bt.journal.events import JobStarted, RunBegun
+from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.presence import Presence
+from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import starter_lab
 

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.devices_wires import Figures, Swaying, comes
-from scuhand_bt.cell_spec import ArmSpec, HandSpec
 from scuhand_bt.clock import Signal, Wake
+from scuhand_bt.device_specs.arm import ArmSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
@@ -29,10 +30,10 @@ from scuhand_bt.motion.kinematics import Mount, apex_positions_m
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.make_cell import DryRun, Rehearsal
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun, Rehearsal
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort

@@ -13,7 +13,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from dynamixel_sdk import COMM_SUCCESS
 
-from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, HandSpec
+from scuhand_bt.device_specs.arm import ArmSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.dynamixel.arm import arm_axes

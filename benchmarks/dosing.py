@@ -23,7 +23,8 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks.rig import DOSES_PER_RUN, TOLERANCE_MG, UNWAITING, Setting, Trial, run_of_doses, shipped_powders
-from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec
+from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.sim.plant import PlantError, load_plant
 from scuhand_bt.specs import Powder

@@ -38,7 +38,7 @@ from benchmarks import dosing_random
 from benchmarks.dosing_worth import AGAIN, AS_IT_IS
 from benchmarks.rig import DOSES_PER_RUN, TOLERANCE_MG, Setting, run_of_doses, shipped_powders
 from harness.random_plants import BALANCES, FAMILIES, SETS, Drawn, draw
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 
 MODULES = tuple(
     importlib.import_module(f"scuhand_bt.dosing.{name}")

@@ -29,7 +29,7 @@ from scipy.stats import binomtest
 
 from benchmarks.rig import TOLERANCE_MG, Bench, Setting, shipped_powders
 from harness.random_plants import BALANCES, FAMILIES, SETS, Drawn, RandomPlant, draw
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.mass_ledger import CONE

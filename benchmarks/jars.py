@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.sheet import lip_force_n
-from scuhand_bt.dosing.swing import Ladle, NoStrokeError, Stroke, StrokePath, stroke_path
+from scuhand_bt.dosing.swing import StrokePath, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.sim.bed import HeightField

@@ -18,7 +18,7 @@ from unittest.mock import patch
 from benchmarks.figures import show
 from harness.damaged_journals import mutations
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Event, Note
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab, starter_lab
@@ -26,11 +26,11 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run import session
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.world import World
 
 OWN_OF = 20_000

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.figures import spread
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.motion.inverse import YAWS, finest, seams_of, solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, Floats, Mount, apex, apex_positions_m
 

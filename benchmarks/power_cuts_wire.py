@@ -21,7 +21,7 @@ import numpy as np
 from harness.wire_cell import make_lab, twins_of
 from harness.wire_cuts import Cut, Tally, cut_until_done
 from harness.wire_detection import detect
-from scuhand_bt.cell_spec import ArmOptions
+from scuhand_bt.device_specs.arm import ArmOptions
 
 
 def main() -> None:

@@ -15,17 +15,18 @@ from pathlib import Path
 
 from benchmarks.batch import generated_recipe
 from benchmarks.figures import show
-from scuhand_bt.journal.events import Ended, JobStarted
+from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.journal.reader import open_journal
+from scuhand_bt.journal.run_events import Ended
 from scuhand_bt.journal.store import Store
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 GROWN_FROM = 100
 READERS = {

@@ -26,13 +26,16 @@ from scuhand_bt.cell.weighing import (
     weigh_changed,
     weighing_of,
 )
-from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, T
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import CONTROLLERS, new_controller
 from scuhand_bt.dosing.bracket import Drift, Net, Reference
 from scuhand_bt.dosing.verdict import judge
-from scuhand_bt.events import Dose, Note, SkillEvent
+from scuhand_bt.events.doses import Dose
+from scuhand_bt.events.entry import Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.results import DoseResult
 from scuhand_bt.lab import load_lab

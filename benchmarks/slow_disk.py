@@ -28,10 +28,10 @@ from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import Rehearsal
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import Rehearsal
 
 ROOT = Path(__file__).parent.parent
 SLEEPING = r"""

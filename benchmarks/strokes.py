@@ -29,16 +29,17 @@ from harness.roller_kill import RECIPE, OfSession, Twins, keep_twins, make_lab_o
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.clock import Steps
+from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import Bed, chosen
-from scuhand_bt.dosing.swing import Ladle, NoStrokeError, Stroke, StrokePath, stroke_path
+from scuhand_bt.dosing.swing import StrokePath, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.recipe.plan import Plan
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.specs import Mortar
 
 RESULTS = Path(__file__).with_name("strokes_results.json")

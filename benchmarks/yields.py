@@ -26,11 +26,11 @@ from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.scoop import OurScoopYield
 from scuhand_bt.specs import Powder

@@ -19,8 +19,9 @@ import numpy as np
 
 from benchmarks.yields import DOSES, LEARNT_AFTER
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.dosing.ladle import Ladle
 from scuhand_bt.dosing.strokes import Bed, expected_mg, layer_left
-from scuhand_bt.dosing.swing import Ladle, stroke_path
+from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.sim.bed import HeightField

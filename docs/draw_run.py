@@ -13,9 +13,9 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.report.live import LiveView
 from scuhand_bt.report.picture import Picture
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 RECIPE = "xrd_holders"
 SAMPLES, OPENING_MM = 6, 0.4

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scuhand_bt.dosing.swing import Ladle, Stroke, StrokePath, stroke_path
+from scuhand_bt.dosing.ladle import Ladle, Stroke
+from scuhand_bt.dosing.swing import StrokePath, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 
 DOCS = Path(__file__).parent

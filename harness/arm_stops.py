@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.clock import Wake
+from scuhand_bt.device_specs.arm import ArmSpec
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from scuhand_bt.cell_spec import ValvePoint
+from scuhand_bt.device_specs.hand import ValvePoint
 from scuhand_bt.sim.wire.hand import NOMINAL_MAP, Valve
 
 HOST, SERVO = 0, 1

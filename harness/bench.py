@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.session import Session
 from scuhand_bt.sim.arm import SimulatedArm

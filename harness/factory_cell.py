@@ -24,10 +24,11 @@ from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.lab import Lab, load_lab, starter_lab, state_folder
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
-from scuhand_bt.run.make_cell import bench_of
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.operator import Person
-from scuhand_bt.sim.wire.bench import COUNTS_PER_RAD, WireBench
+from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.wire.servo import Servo
+from scuhand_bt.sim.wire.shafts import COUNTS_PER_RAD
 from scuhand_bt.specs import Container, Source
 from scuhand_bt.yaml_edit import Path as Keys
 from scuhand_bt.yaml_edit import Value, edited

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from harness.avr_board import AvrHand
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.hand_controller import map_commands
 from scuhand_bt.devices.hand_protocol import SEQUENCES, Hello, Report, decode, encode
 from scuhand_bt.sim.wire.hand import HandTwin

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from harness.bench import Bench, Ill
-from scuhand_bt.cell_spec import BalanceResponseSpec
+from scuhand_bt.device_specs.balance import BalanceResponseSpec
 
 STEPS_MG = (-5.0, -3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0, 5.0)
 SIGNS = (-1.0, 1.0)

@@ -15,11 +15,11 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.fault_rules import OUTAGES
 
 RECIPE = """
@@ -49,7 +49,7 @@ tree:
 SKILL = '''
 """A skill that does what none may."""
 import sys
-from scuhand_bt.journal.events import Ended
+from scuhand_bt.journal.run_events import Ended
 from scuhand_bt.skill import Cell, Skill, Steps, pause
 
 class Careless(Skill[None]):

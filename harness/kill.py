@@ -20,7 +20,7 @@ from typing import Any
 
 from py_trees.common import Status
 
-from scuhand_bt.events import Event, Note
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.hash_chain import verify
 from scuhand_bt.journal.history import read_history
@@ -31,12 +31,12 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun, Rehearsal
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun, Rehearsal
 from scuhand_bt.run.twins import WORLD, folder_of_run, have_their_process, say
 from scuhand_bt.sim.fault_rules import FaultFile
 from scuhand_bt.sim.world import masses_in

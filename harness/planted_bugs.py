@@ -19,7 +19,7 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal import store
 from scuhand_bt.record import Record, RecordLost
 from scuhand_bt.report import proof
-from scuhand_bt.run import batch, outcome, session
+from scuhand_bt.run import batch, outcome, sample_results, session
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container
 from scuhand_bt.tree import leaf
@@ -89,8 +89,8 @@ def _believes_what_arrived() -> None:
     def anything(*given: Any) -> tuple[float, float]:
         return -1e9, 1e9
 
-    batch.confirmed = batch.doubted = lambda result, told: result  # type: ignore[assignment]
-    batch.Batch._note_open_brackets = lambda one: None  # type: ignore[method-assign]
+    sample_results.confirmed = sample_results.doubted = lambda result, told: result  # type: ignore[assignment]
+    sample_results.SampleResults.note_open_brackets = lambda one: None  # type: ignore[method-assign]
     session.settle_outage = settles  # type: ignore[assignment]
     weighing.possible_mg = anything
     import scuhand_bt.skill as sdk
@@ -107,7 +107,7 @@ def _redo_collides() -> None:
             for name, value in sample.inputs.items()
         }
 
-    batch.inputs_for = outcome.inputs_for = inputs_for
+    batch.inputs_for = sample_results.inputs_for = outcome.inputs_for = inputs_for
 
 
 def _says_all_is_well() -> None:

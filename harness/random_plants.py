@@ -12,7 +12,8 @@ from typing import Any, ClassVar, TypeAlias
 from scipy.stats import qmc
 
 from harness.random_physics import BalanceFigures, DrawnBalance, DrawnFlow, FlowFigures
-from scuhand_bt.cell_spec import BalanceSpec, HandSpec, ValveErrorSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
 from scuhand_bt.specs import Powder
 
 SETS = {"tuning": 20_260_301, "judging": 77_123_009, "foretold": 55_310_207, "foretold_again": 91_440_613}

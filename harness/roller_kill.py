@@ -35,8 +35,8 @@ from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.clock import WallClock
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.operator import OperatorChanger
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion

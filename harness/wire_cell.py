@@ -29,7 +29,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run import make_cell
-from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outage import rim_in_words

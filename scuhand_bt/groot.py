@@ -24,7 +24,7 @@ from py_trees.composites import Selector
 
 from scuhand_bt.journal.plain import plain_values
 from scuhand_bt.problems import SourceError
-from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.tree.btlive import CONDITION, LiveNode, LiveTree, live_tree
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.nodes import Chosen

@@ -5,7 +5,9 @@ from collections.abc import Callable, Mapping
 from pydantic import JsonValue
 
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.events import NOTE_PREFIX, SKILL_EVENTS, CurveRow, Note, SkillEvent
+from scuhand_bt.events.catalogue import SKILL_EVENTS
+from scuhand_bt.events.doses import CurveRow
+from scuhand_bt.events.entry import NOTE_PREFIX, Note, SkillEvent
 
 
 class RecordLost(Exception):  # noqa: N818 - it says what happened

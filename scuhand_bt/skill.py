@@ -36,27 +36,18 @@ from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
-from scuhand_bt.events import (
+from scuhand_bt.events.cell import Discarded, Kept, Refilled, Returned, Scooped, SheetSwapped, ValveChecked
+from scuhand_bt.events.doses import Dose, DoseCurve, Pulsed, ValueRecorded
+from scuhand_bt.events.weighings import (
     BalanceDoubted,
     BalanceWatched,
     ContainerDiscarded,
     ContainerPlaced,
-    Discarded,
-    Dose,
     DoseBegun,
-    DoseCurve,
     DoseWeighed,
-    Kept,
-    Pulsed,
-    Refilled,
     RepeatabilityMeasured,
-    Returned,
     Reweighed,
-    Scooped,
-    SheetSwapped,
     Tared,
-    ValueRecorded,
-    ValveChecked,
     Weighed,
     WeightChecked,
 )

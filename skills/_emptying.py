@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.motion import ApexPose
 from scuhand_bt.motion.pouring import about_lip
 from scuhand_bt.skill import Cell, Code, Discarded, Returned, SkillFailed, Source, Steps, pause

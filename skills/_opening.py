@@ -1,6 +1,6 @@
 """What `open_cone`, `move_over` and the emptying of the cone share: the size in which it lets powder out."""
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.skill import Cell, Steps
 
 OPENED_MM = 0.5

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from wire_helpers import carry_out
 
-from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, HandSpec
 from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.device_specs.arm import ArmSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes

@@ -13,8 +13,10 @@ from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.weighing import weighing_of
-from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, T
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import Drift, Net, Reference

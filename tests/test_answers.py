@@ -22,19 +22,20 @@ from test_resume import Run, Watch
 from test_stopping import as_nobody
 
 from scuhand_bt.journal.archive import summary
-from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, Asked, JobStarted, RunBegun, Trouble
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, Asked, JobStarted
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import RunBegun, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab_state.persons import Persons
 from scuhand_bt.run import control as control_module
 from scuhand_bt.run.batch import ANSWERS
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.control import HEARD, Control, WishListener, say_answer, say_wish, waiting_question
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.operator import Person, PersonOperator
 from scuhand_bt.run.questions import MEANINGS, Given, Questions, Who
+from scuhand_bt.run.simulation import DryRun
 from tests.test_journal import HEADER
 
 USER = pwd.getpwuid(os.getuid()).pw_name

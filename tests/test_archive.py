@@ -13,23 +13,15 @@ import pytest
 from conftest import Call
 
 from scuhand_bt.api import PastRun
-from scuhand_bt.events import Dose, DoseWeighed, Line, Tared
+from scuhand_bt.events.doses import Dose
+from scuhand_bt.events.weighings import DoseWeighed, Line, Tared
 from scuhand_bt.journal.archive import summaries
-from scuhand_bt.journal.events import (
-    Answered,
-    Asked,
-    Continued,
-    Ended,
-    JobEnded,
-    JobStarted,
-    Paused,
-    Resumed,
-    RunBegun,
-)
+from scuhand_bt.journal.events import Answered, Asked, JobEnded, JobStarted
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.journal.results import SampleResult, SoFar
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.weighing_record import COLUMNS, weighing_csv
 from tests.running import Ran, dry_run, make_lab

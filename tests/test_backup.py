@@ -12,10 +12,10 @@ from conftest import Call
 from running import dry_run, make_lab
 
 from scuhand_bt.journal.copies import make_one_file
-from scuhand_bt.journal.events import Paused, RunBegun
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.backup import MANIFEST
 from tests.test_journal import HEADER, tamper

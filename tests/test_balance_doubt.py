@@ -10,7 +10,7 @@ from conftest import read
 from running import Ran, dry_run, make_lab
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Weigh, new_controller
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.sim.response import OurBalanceResponse

@@ -20,7 +20,7 @@ from harness.falsify import Falsifier
 from harness.worlds import BY_NAME
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.weighing import require_known_delay, shown_step
-from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceLimits, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.dosing.characteristic import Step, held_mg, is_frozen
@@ -35,10 +35,11 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.record import Record
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.cell_state import state_of, take_up
-from scuhand_bt.run.make_cell import DryRun, Setup, set_up
+from scuhand_bt.run.make_cell import Setup, set_up
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.specs import BalanceBelief
 

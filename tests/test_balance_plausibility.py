@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import pytest
 from wire_helpers import carry_out, wait_for
 
-from scuhand_bt.cell_spec import BalanceSpec, CellSpec
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices import doctor
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.plausibility import FLOW_MG_PER_S, LUMP_MG

@@ -31,7 +31,7 @@ from benchmarks.oracle_model import SHUT, Model
 from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
 from harness.random_physics import DrawnFlow, FlowFigures
 from harness.random_plants import draw
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing import estimation
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Departure

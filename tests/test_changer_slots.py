@@ -9,17 +9,17 @@ from conftest import Call, Desk, LabFolder
 from running import HEAD, Watching, dry_run, shared_planner
 
 from scuhand_bt.cell.believed import Believed, is_used_up, slot_of
-from scuhand_bt.cell_spec import ChangerSpec
+from scuhand_bt.device_specs.changer import ChangerSpec
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry, counted_otherwise
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Job, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.inventory_conflicts import conflicts, recall
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, find_run, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.specs import Container
 
 SLOTS = ChangerSpec(slots={"holder": 2, "die": 3})

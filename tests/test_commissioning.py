@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from running import make_lab
 
 from harness.factory_cell import Factory, Hands, from_factory
-from scuhand_bt.cell_spec import HandOptions, HandSpec, ValvePoint
 from scuhand_bt.commissioning.coupling import ringing
 from scuhand_bt.commissioning.guide import carry_out, on_twins
 from scuhand_bt.commissioning.record import FILE, Done, Record, values_of
@@ -24,6 +23,7 @@ from scuhand_bt.commissioning.step import Left, NotFound, Site
 from scuhand_bt.commissioning.steps import STEPS, commissioned, next_step
 from scuhand_bt.commissioning.valve import moved, opens_later_mm, pressed
 from scuhand_bt.commissioning.valve_map import ROUNDS, SHARES, equivalent_mm, weighed_round
+from scuhand_bt.device_specs.hand import HandOptions, HandSpec, ValvePoint
 from scuhand_bt.devices.connect import Devices
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.lab import Lab, load_lab, starter_lab, state_folder

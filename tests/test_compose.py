@@ -28,11 +28,11 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.recipe.stoichiometry import Imbalance, Lot, balanced, composed, reached, relative_tolerance
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import Resumable, checked_history, find_run, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 # Standard atomic weights, abridged to five figures (IUPAC, 2021), typed from its table.
 H, C, N, O, LI, P, FE = 1.008, 12.011, 14.007, 15.999, 6.94, 30.974, 55.845  # noqa: E741

@@ -20,8 +20,8 @@ from scuhand_bt.journal.reader import read
 from scuhand_bt.kit.new_device import TEMPLATES, write_device
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import SourceError
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.wire.balances import balance_twin
 from scuhand_bt.skill import Cell, Skill, Steps
 from scuhand_bt.testing import at_the_wire, conformance, of_balances, of_motion
@@ -330,7 +330,7 @@ def test_an_arm_of_others_is_not_rehearsed_by_an_arm_of_ours(lab_folder: LabFold
 
 
 WATCHES_AIR = """
-from scuhand_bt.devices.interfaces import Scanner, Sensor
+from scuhand_bt.devices.instruments import Scanner, Sensor
 from scuhand_bt.skill import Cell, Skill, Steps
 
 

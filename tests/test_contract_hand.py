@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from device_benches import FIRMWARE, SimulatedHandBench, WiredHandBench
 
-from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Wake
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S, Hello, Report, encode
 from scuhand_bt.devices.interfaces import Forming

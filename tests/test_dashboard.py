@@ -15,15 +15,16 @@ from test_answers import ASK, RECIPE, Run, told
 
 from scuhand_bt.dashboard.page_state import Page, banner
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.journal.events import Asked, JobStarted, RunBegun
+from scuhand_bt.journal.events import Asked, JobStarted
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.run.control import Control, WishListener
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.questions import MEANINGS
+from scuhand_bt.run.simulation import DryRun
 from tests.test_journal import HEADER
 from tests.test_resume import Watch
 

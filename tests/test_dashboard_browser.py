@@ -23,10 +23,10 @@ from scuhand_bt.lab import load_lab
 from scuhand_bt.motion.arm_model import SHEET_M
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 pytestmark = [needs_browser, pytest.mark.xdist_group("dashboard in a browser")]
 RECIPE = """

@@ -6,7 +6,7 @@ import pytest
 from dashboard_client import serving
 from hypothesis import HealthCheck, given, settings
 
-from scuhand_bt.journal.events import RunBegun
+from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.writer import Journal
 from tests.test_journal import HEADER
 

@@ -11,7 +11,7 @@ import pytest
 from device_benches import READY, Sway
 from wire_helpers import carry_out, wait_for
 
-from scuhand_bt.cell_spec import ArmSpec
+from scuhand_bt.device_specs.arm import ArmSpec
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.axes import Axis
@@ -190,7 +190,7 @@ import numpy as np
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
-from scuhand_bt.cell_spec import ArmSpec
+from scuhand_bt.device_specs.arm import ArmSpec
 
 class Swaying:
     duration_s = 60.0

@@ -3,7 +3,7 @@ import random
 import pytest
 from wire_helpers import carry_out, wait_for
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.interfaces import Reading

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from conftest import LabFolder
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS
 from scuhand_bt.drivers import SHIPPED
 from scuhand_bt.lab import without_driver

@@ -11,8 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_helpers import carry_out, wait_for
 
-from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, CellSpec, ChangerSpec, HandSpec
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps
+from scuhand_bt.device_specs.arm import ArmSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.changer import ChangerSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.hand_protocol import Hello, Report, decode, encode
 from scuhand_bt.devices.interfaces import Site
@@ -401,7 +405,7 @@ def test_a_killed_host_is_noticed_by_the_controller_and_the_valve_closes(cell: C
     """A process opens the valve through the twin's port and is stopped with SIGSTOP, then killed."""
     script = (
         "import sys, time\n"
-        "from scuhand_bt.cell_spec import HandSpec\n"
+        "from scuhand_bt.device_specs.hand import HandSpec\n"
         "from scuhand_bt.devices.hand_controller import HandController\n"
         "hand = HandController(HandSpec(port=sys.argv[1])); hand.open()\n"
         "hand.set_opening(2.0); hand.set_vibration(1.0)\n"

@@ -14,7 +14,7 @@ import pytest
 from device_benches import WiredHandBench
 from wire_helpers import wait_for
 
-from scuhand_bt.cell_spec import HandOptions, HandSpec
+from scuhand_bt.device_specs.hand import HandOptions, HandSpec
 from scuhand_bt.devices.roller import RollerRecord, rims_mm
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.failures import SkillFailed
@@ -27,7 +27,7 @@ HOST = """
 import sys, time
 from pathlib import Path
 from device_benches import WiredHandBench
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 
 class Bench(WiredHandBench):
     def __init__(self, bus, board):

@@ -7,12 +7,14 @@ from typing import Any
 import pytest
 from dose_bench import BAY, DISH, MORTAR, Bench, shipped_powders
 
-from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing import CONTROLLERS, Command, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
-from scuhand_bt.events import Dose, DoseWeighed, Note, SkillEvent
+from scuhand_bt.events.doses import Dose
+from scuhand_bt.events.entry import Note, SkillEvent
+from scuhand_bt.events.weighings import DoseWeighed
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import Record

@@ -9,8 +9,8 @@ from scuhand_bt.devices import doctor
 from scuhand_bt.devices.doctor import Finding, examine
 from scuhand_bt.devices.line_device import LineOptions
 from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.scene import StillScene

@@ -8,12 +8,13 @@ from typing import Any, cast
 import pytest
 
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose, silence_s
-from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing import Command, DoseRequest, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
-from scuhand_bt.events import Note, Pulsed, SkillEvent
+from scuhand_bt.events.doses import Pulsed
+from scuhand_bt.events.entry import Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock

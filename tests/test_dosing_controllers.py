@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.cell.dose_loop import run_dose
-from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
+from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
 from scuhand_bt.dosing.identification import STEP_DOUBT

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.dosing.flow import PulseModel, basis, fit_coefficient
 from scuhand_bt.dosing.paper import LONGEST_DWELL_S, SHORTEST_DWELL_S, solve_pulse

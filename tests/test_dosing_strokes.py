@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, Layer, chosen, expected_mg, layer_left, most_mg, require_level
-from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, least_attack_deg, stroke_path
+from scuhand_bt.dosing.swing import stroke_path
+from scuhand_bt.dosing.swing_plane import least_attack_deg
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import HeightField
 from scuhand_bt.specs import Mortar, Source

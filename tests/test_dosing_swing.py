@@ -7,16 +7,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from scuhand_bt.dosing.swing import (
-    Ladle,
-    NoStrokeError,
-    Stroke,
-    StrokePath,
-    fitting_rim_mm,
-    headings_deg,
-    least_attack_deg,
-    stroke_path,
-)
+from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
+from scuhand_bt.dosing.swing import StrokePath, headings_deg, stroke_path
+from scuhand_bt.dosing.swing_plane import fitting_rim_mm, least_attack_deg
 from scuhand_bt.dosing.vessel import Vessel
 
 AGATE = Vessel.bowl(90.0, 30.0, 115.0)

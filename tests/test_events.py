@@ -10,20 +10,23 @@ import pytest
 from conftest import Call
 from running import dry_run, make_lab
 
-from scuhand_bt.events import SKILL_EVENTS, Event, Note, Tared
+from scuhand_bt.events.catalogue import SKILL_EVENTS
+from scuhand_bt.events.entry import Event, Note
+from scuhand_bt.events.weighings import Tared
 from scuhand_bt.journal import describe
 from scuhand_bt.journal.archive import summary
-from scuhand_bt.journal.events import Asked, Ended
+from scuhand_bt.journal.events import Asked
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.kinds import KINDS, parsed
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Ended
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.record import Record
 
 DOCS = Path(__file__).parent.parent / "docs"
 SIEVE = """
-from scuhand_bt.events import SkillEvent
-from scuhand_bt.journal.events import Ended
+from scuhand_bt.events.entry import SkillEvent
+from scuhand_bt.journal.run_events import Ended
 from scuhand_bt.skill import Cell, Skill, Steps, pause
 
 

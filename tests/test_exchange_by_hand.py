@@ -10,20 +10,21 @@ from running import make_lab, shared_planner
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.clock import carried_out
 from scuhand_bt.devices.interfaces import SEEN
-from scuhand_bt.events import BracketClosed
+from scuhand_bt.events.weighings import BracketClosed
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.journal.events import Answered, Asked, Trouble
+from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Trouble
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.operator import ANSWER_S, OperatorChanger, Person, PersonOperator, SimulatedOperator
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.questions import Questions, Who
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.specs import Container
 
 RECIPE = """

@@ -20,8 +20,8 @@ from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.run.options import options_of
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session

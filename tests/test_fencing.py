@@ -9,7 +9,7 @@ from running import make_lab
 from test_resume import Run, Watch, actions
 
 from scuhand_bt.api import interrupted
-from scuhand_bt.events import Note
+from scuhand_bt.events.entry import Note
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.journal.writer import Journal
@@ -18,10 +18,10 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
 from scuhand_bt.report.proof import proof_of
 from scuhand_bt.run.holds import take_cell, take_run
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 
 @pytest.fixture

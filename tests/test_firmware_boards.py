@@ -14,7 +14,7 @@ import yaml
 
 from harness.avr_board import AvrHand, build_firmware, build_simulator, missing_tools
 from harness.hand_host import FIRMWARE, MAP, Board, Host
-from scuhand_bt.cell_spec import ValvePoint
+from scuhand_bt.device_specs.hand import ValvePoint
 from scuhand_bt.devices.hand_protocol import Hello
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.servo import BOOT_S, OVERLOAD_BIT

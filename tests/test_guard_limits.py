@@ -10,8 +10,9 @@ from dose_bench import DISH, PAN
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import Bracket
-from scuhand_bt.cell_spec import BalanceSpec, CellSpec
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Signal
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.failures import SkillFailed

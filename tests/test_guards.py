@@ -9,8 +9,8 @@ from dose_bench import DISH, PAN, Bench, Setting, shipped_powders
 from running import dry_run, make_lab
 
 from scuhand_bt.cell.weighing import weighing_of
-from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.failures import SkillFailed

@@ -12,15 +12,17 @@ from scuhand_bt.cell.in_the_way import TIMEOUT_S
 from scuhand_bt.cell.places import all_places
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.connect import connect_cell_devices
-from scuhand_bt.devices.interfaces import Operator, Watcher
-from scuhand_bt.events import ArmFreed, SkillEvent, WayObstructed
+from scuhand_bt.devices.instruments import Watcher
+from scuhand_bt.devices.interfaces import Operator
+from scuhand_bt.events.cell import ArmFreed, WayObstructed
+from scuhand_bt.events.entry import SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.record import Record
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.cell import simulated_cell
 
 AT_MOST_S = 300.0

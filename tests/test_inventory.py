@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from running import Watching, dry_run, shared_planner
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell_spec import BalanceLimits
 from scuhand_bt.clock import Steps
+from scuhand_bt.device_specs.balance import BalanceLimits
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState
@@ -28,10 +28,11 @@ from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.inventory_conflicts import conflicts, recall, require_resolvable, resolve
 from scuhand_bt.run.lab_records import LabRecords
-from scuhand_bt.run.make_cell import DryRun, Setup, set_up
+from scuhand_bt.run.make_cell import Setup, set_up
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 RECIPE = """\
 recipe: one

@@ -12,13 +12,15 @@ from hypothesis import strategies as st
 
 from harness.damaged_journals import Judge, mutations
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Dose, Pulsed, Tared
-from scuhand_bt.journal.events import ActionEnded, ActionStarted, Ended, JobEnded, JobStarted, Paused, Resumed, RunBegun
+from scuhand_bt.events.doses import Dose, Pulsed
+from scuhand_bt.events.weighings import Tared
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.hash_chain import COLUMNS
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import open_contents, open_journal, read
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Ended, Paused, Resumed, RunBegun
 from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.problems import SourceError

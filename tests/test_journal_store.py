@@ -16,13 +16,13 @@ from test_resume import Run, Watch
 
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.liveness import LIMIT_S, Liveness
-from scuhand_bt.events import Note
+from scuhand_bt.events.entry import Note
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.store import Row, Store
 from scuhand_bt.journal.writer import LOOK_S, Journal
 from scuhand_bt.lab import load_lab
 from scuhand_bt.record import Record, RecordLost
-from scuhand_bt.run.make_cell import Rehearsal
+from scuhand_bt.run.simulation import Rehearsal
 from scuhand_bt.skill import Skill
 
 NOTE = Note("lab.note", {})

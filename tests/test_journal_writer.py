@@ -18,12 +18,15 @@ from dose_bench import DISH, MORTAR, shipped_powders
 from pydantic import BaseModel, Field
 
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Discarded, Dose, Note, Pulsed, Returned, SheetSwapped
+from scuhand_bt.events.cell import Discarded, Returned, SheetSwapped
+from scuhand_bt.events.doses import Dose, Pulsed
+from scuhand_bt.events.entry import Note
 from scuhand_bt.journal import store, writer
-from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted, Trouble
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify
 from scuhand_bt.journal.plain import plain, to_json
 from scuhand_bt.journal.results import SoFar
+from scuhand_bt.journal.run_events import Trouble
 from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.journal.writer import FLUSH_S, Journal
 from scuhand_bt.record import RecordLost

@@ -6,7 +6,8 @@ import pinocchio as pin
 import pytest
 
 from scuhand_bt.bench_spec import Obstacle
-from scuhand_bt.cell_spec import ArmSpec, HandSpec
+from scuhand_bt.device_specs.arm import ArmSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.arm_model import MismatchedCellError

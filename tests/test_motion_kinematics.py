@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion.collision import Arm, Scene

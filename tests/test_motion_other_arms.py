@@ -10,7 +10,8 @@ import pytest
 from harness.example_labs import EXAMPLES, example_lab
 from harness.motion_audit import Audit
 from harness.motion_layouts import CONTAINER, Bench, drawn
-from scuhand_bt.cell_spec import ArmSpec, HandSpec
+from scuhand_bt.device_specs.arm import ArmSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import ApexPose, Mount, apex, solutions, unreachable_reason
 from scuhand_bt.motion.arm_model import Arm

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount, apex
 from scuhand_bt.motion.spill import (
     apex_motion,

@@ -8,8 +8,9 @@ import pytest
 
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.dosing.ladle import Ladle, Stroke
 from scuhand_bt.dosing.strokes import Bed, chosen
-from scuhand_bt.dosing.swing import Ladle, Stroke, StrokePath, stroke_path
+from scuhand_bt.dosing.swing import StrokePath, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab

@@ -18,9 +18,9 @@ from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
 from scuhand_bt.report.weighing_record import weighing_csv
-from scuhand_bt.run.make_cell import Rehearsal
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import Rehearsal
 from scuhand_bt.sim.fault_rules import parse_faults
 
 pytestmark = pytest.mark.xdist_group("outage")  # one process makes what all of them share

@@ -14,7 +14,7 @@ from running import dry_run, make_lab
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.dosing.bracket import Net
 from scuhand_bt.dosing.verdict import judge
-from scuhand_bt.events import Dose
+from scuhand_bt.events.doses import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.results import SampleResult, SampleVerdict, SoFar

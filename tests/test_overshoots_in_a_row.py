@@ -13,10 +13,10 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.lab import Lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.specs import Powder
 

@@ -6,16 +6,16 @@ from typing import Any
 import pytest
 from running import Watching, make_lab, shared_planner
 
-from scuhand_bt.events import Event, Note
-from scuhand_bt.journal.events import Paused
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Paused
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 RECIPE = """
 recipe: one

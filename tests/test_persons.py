@@ -11,8 +11,9 @@ from conftest import Call
 from running import dry_run, make_lab
 
 from scuhand_bt.cli import persons as commands
-from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, Paused, Resumed, RunBegun, Trouble
+from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab_state.persons import Persons, person_name
 from scuhand_bt.run import operator as of_operator

@@ -14,12 +14,12 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.scoop import OurScoopYield

@@ -16,10 +16,11 @@ from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.make_cell import DryRun, Rehearsal, bench_of
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.options import ON_TWINS, Options, options_of
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun, Rehearsal
 from scuhand_bt.run.twins import Twins
 from scuhand_bt.sim.wire.hand import NoCompiler
 

@@ -15,21 +15,11 @@ from page_text import Tables
 from running import Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
-from scuhand_bt.events import DoseBegun, Scooped
-from scuhand_bt.journal.events import (
-    ActionEnded,
-    ActionStarted,
-    Answered,
-    ArmMoves,
-    Asked,
-    Continued,
-    Ended,
-    JobEnded,
-    JobStarted,
-    Paused,
-    RunBegun,
-)
+from scuhand_bt.events.cell import Scooped
+from scuhand_bt.events.weighings import DoseBegun
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, ArmMoves, Asked, JobEnded, JobStarted
 from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import starter_lab
 from scuhand_bt.quantity import format_duration, format_mass

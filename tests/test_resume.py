@@ -14,22 +14,22 @@ from running import HEAD, make_lab, shared_planner
 
 from harness.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
 from scuhand_bt.clock import Steps
-from scuhand_bt.events import Event, Note
-from scuhand_bt.journal.events import Paused
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Paused
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.report.live import PlainLines
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, find_run, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.skill import Condition, Ratio, Seconds, Skill, SkillFailed, pause
 
 RECIPE = """

@@ -16,8 +16,8 @@ pytest.importorskip("rosbags")
 from ros2_system import GOAL, Definitions
 from running import make_lab
 
-from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.clock import carried_out
+from scuhand_bt.device_specs.arm import ArmSpec
 from scuhand_bt.devices.interfaces import Site
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.ros2_arm import DRIVER, Ros2Arm, Ros2Options, goal_of

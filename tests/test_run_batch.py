@@ -10,7 +10,7 @@ from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
-from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.session import Session
 

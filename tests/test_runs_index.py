@@ -11,8 +11,8 @@ from running import make_lab
 
 from scuhand_bt.journal import archive, runs_index
 from scuhand_bt.journal.archive import Summary, summaries
-from scuhand_bt.journal.events import Ended, Resumed
 from scuhand_bt.journal.presence import Presence
+from scuhand_bt.journal.run_events import Ended, Resumed
 from scuhand_bt.journal.writer import Journal
 from tests.test_journal import write_run
 

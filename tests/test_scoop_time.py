@@ -8,7 +8,7 @@ import pytest
 from running import Ran, dry_run
 
 from scuhand_bt.cell.cell import carrying_limit_deg
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import load_lab, starter_lab

@@ -9,7 +9,8 @@ from dose_bench import shipped_powders
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scuhand_bt.dosing.swing import Ladle, Stroke, StrokePath, headings_deg, stroke_path
+from scuhand_bt.dosing.ladle import Ladle, Stroke
+from scuhand_bt.dosing.swing import StrokePath, headings_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import CELL_MM, HeightField, passing_mm
 from scuhand_bt.sim.cone_over import ConePose, Floats

@@ -7,8 +7,9 @@ from dose_bench import DISH, Bench, Setting, shipped_powders
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from scuhand_bt.cell_spec import BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.balances.mt_sics import DIALECT as MT_SICS
 from scuhand_bt.devices.interfaces import Reading

@@ -15,13 +15,13 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options, options_of
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Question, Who
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 RECIPE = "recipe: walk\nworkflow: mine\nsamples:\n  - {id: a}\n"
 WALK = "workflow: mine\ntree:\n  sequence:\n    - tour:\n    - wait: {duration: 1 s}\n    - park:\n"

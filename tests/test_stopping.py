@@ -13,7 +13,7 @@ from conftest import Call
 from running import make_lab
 from test_resume import Run, Watch
 
-from scuhand_bt.events import Note
+from scuhand_bt.events.entry import Note
 from scuhand_bt.journal.archive import summaries
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read

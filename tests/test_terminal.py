@@ -20,9 +20,10 @@ from rich.console import Console
 from running import Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
-from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted, Paused, RunBegun
+from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report import picture
 from scuhand_bt.report.doses import doses_table

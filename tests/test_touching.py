@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.motion.inverse import along, finest, nearest_configuration, solutions, swivel_of
 from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Mount, apex, apex_frames
 from scuhand_bt.motion.touching import calibrated, standing

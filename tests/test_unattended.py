@@ -10,10 +10,10 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import Plan, check_unattended, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.operator import Nobody
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 
 RECIPE = """\
 recipe: one

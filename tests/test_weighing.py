@@ -24,7 +24,7 @@ from scuhand_bt.cell.weighing import (
 from scuhand_bt.clock import Steps, T, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
-from scuhand_bt.events import BracketClosed, ContainerLifted
+from scuhand_bt.events.weighings import BracketClosed, ContainerLifted
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import ContainerReweighed
 from scuhand_bt.record import Record

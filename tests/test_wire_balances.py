@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 from wire_helpers import carry_out, wait_for
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.balances import AndTwin, BalanceTwin, MtSicsTwin, SbiTwin, ShimadzuTwin, StillPan, balance_twin

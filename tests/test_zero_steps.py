@@ -9,11 +9,12 @@ from dose_bench import DISH, Bench, shipped_powders
 
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.cell.weighing import watched
-from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
-from scuhand_bt.events import ContainerAgain, Note, SkillEvent
+from scuhand_bt.events.entry import Note, SkillEvent
+from scuhand_bt.events.weighings import ContainerAgain
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import Record
 from scuhand_bt.specs import Container

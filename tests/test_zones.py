@@ -19,11 +19,11 @@ from scuhand_bt.motion import ApexPose, MotionPlanner, places
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.record import Record
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.clock import VirtualClock
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.specs import Source

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, Stroke
 from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, chosen, expected_mg, layer_left
-from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, Stroke, stroke_path
+from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab, load_lab, starter_lab

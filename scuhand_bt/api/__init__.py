@@ -38,15 +38,15 @@ if TYPE_CHECKING:
     from scuhand_bt.problems import Problem, SourceError
     from scuhand_bt.recipe.plan import Plan
     from scuhand_bt.recipe.sample import Sample
-    from scuhand_bt.run.batch import BatchObserver, Observers
     from scuhand_bt.run.checking import Checked
     from scuhand_bt.run.control import Control, Wish
-    from scuhand_bt.run.make_cell import DryRun, Rehearsal
+    from scuhand_bt.run.observers import BatchObserver, Observers
     from scuhand_bt.run.operator import Person
     from scuhand_bt.run.options import check_controller
     from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.questions import UNKNOWN, Question, Who
     from scuhand_bt.run.session import Session
+    from scuhand_bt.run.simulation import DryRun, Rehearsal
     from scuhand_bt.sim.fault_rules import read_faults
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
@@ -70,15 +70,15 @@ else:
             "problems": "Problem SourceError",
             "recipe.plan": "Plan",
             "recipe.sample": "Sample",
-            "run.batch": "BatchObserver Observers",
             "run.checking": "Checked",
             "run.control": "Control Wish",
-            "run.make_cell": "DryRun Rehearsal",
+            "run.observers": "BatchObserver Observers",
             "run.operator": "Person",
             "run.options": "check_controller",
             "run.outcome": "BatchResult",
             "run.questions": "UNKNOWN Question Who",
             "run.session": "Session",
+            "run.simulation": "DryRun Rehearsal",
             "sim.fault_rules": "read_faults",
             "sim.plant": "PlantError",
             "sim.wire.hand": "NoCompiler",

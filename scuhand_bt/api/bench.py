@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scuhand_bt.lab import CELL_FILE, Lab, find_state, state_folder
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.run.notify import Notice, notify
 from scuhand_bt.run.twins import FOLDER, say
 from scuhand_bt.run.twins_process import TwinsProcess

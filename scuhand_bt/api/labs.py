@@ -18,9 +18,9 @@ from scuhand_bt.run.checking import Checked, check, on_the_cell, ways_lacking
 
 if TYPE_CHECKING:  # who only checks a recipe does not wait for the arm's kinematics
     from scuhand_bt.run.control import Control
-    from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation
     from scuhand_bt.run.operator import Person
     from scuhand_bt.run.session import Session
+    from scuhand_bt.run.simulation import DryRun, Rehearsal, Simulation
 
 Given = str | Path | Mapping[str, Any]
 """A recipe: its file, or a dict of what would stand there."""
@@ -140,7 +140,7 @@ class OpenLab:
         SourceError for what is wrong, SkillFailed for places without a way between them, PlantError for physics that
         cannot be used.
         """
-        from scuhand_bt.run.make_cell import DryRun
+        from scuhand_bt.run.simulation import DryRun
 
         with TemporaryDirectory() as scratch:
             how.setdefault("journals", Path(scratch) / "runs")
@@ -148,7 +148,7 @@ class OpenLab:
 
     def rehearse(self, recipe: Given | Plan, **how: Unpack[HowSimulated]) -> Result:
         """The same in real time, by the real drivers, against twins of the devices. Also NoCompiler without one."""
-        from scuhand_bt.run.make_cell import Rehearsal
+        from scuhand_bt.run.simulation import Rehearsal
 
         return self._simulated(recipe, Rehearsal, how)
 
@@ -206,7 +206,7 @@ def closing(session: "Session", on_event: OnEvent | None = None) -> Iterator["Se
 
 def ran(session: "Session", on_sample: OnSample | None, on_event: OnEvent | None) -> Result:
     """What a session comes to, which is closed then."""
-    from scuhand_bt.run.batch import BatchObserver
+    from scuhand_bt.run.observers import BatchObserver
 
     class Samples(BatchObserver):
         def sample_ended(self, result: SampleResult) -> None:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from scuhand_bt.api.results import Result
 from scuhand_bt.journal.archive import Summary, frames, story, summaries, summary, told_story
 from scuhand_bt.journal.copies import make_one_file
-from scuhand_bt.journal.events import Ended, Resumed, RunBegun
 from scuhand_bt.journal.export import canonical_of
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import Held, is_held
 from scuhand_bt.journal.reader import Contents, open_contents, open_verified
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Ended, Resumed, RunBegun
 from scuhand_bt.journal.telling import EVENTS, RunEvent, event_of
 from scuhand_bt.lab import find_state
 from scuhand_bt.problems import Mark, Problem, SourceError

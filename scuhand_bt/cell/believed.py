@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 from scuhand_bt.cell.believed_powder import BelievedPowder, Counts, count, mass
 from scuhand_bt.cell.pan_bracket import Bracket, ClosedBracket
-from scuhand_bt.cell_spec import ChangerSpec
+from scuhand_bt.device_specs.changer import ChangerSpec
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.dosing.strokes import Layer
 from scuhand_bt.specs import Container, Source

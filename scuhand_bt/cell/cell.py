@@ -24,7 +24,7 @@ from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
-from scuhand_bt.events import ArmFreed
+from scuhand_bt.events.cell import ArmFreed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
@@ -110,7 +110,8 @@ class Cell:
     def device(self, name: str) -> Any:
         """A device by the name that skills lease it under: arm, hand, balance, changer, or that of `devices:`.
 
-        It meets the Protocol of its kind (`devices/interfaces.py`); a skill says which: `a: Sensor = cell.device("a")`.
+        It meets the Protocol of its kind (`devices/instruments.py`); a skill says which:
+        `a: Sensor = cell.device("a")`.
         """
         return getattr(self, name) if name in DEVICES else self.devices[name]
 

@@ -22,7 +22,7 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
-from scuhand_bt.events import CurveRow, Pulsed
+from scuhand_bt.events.doses import CurveRow, Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
 

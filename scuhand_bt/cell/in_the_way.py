@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.interfaces import Trajectory, Watcher
-from scuhand_bt.events import WayObstructed
+from scuhand_bt.devices.instruments import Watcher
+from scuhand_bt.devices.interfaces import Trajectory
+from scuhand_bt.events.cell import WayObstructed
 from scuhand_bt.failures import Code, SkillFailed
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, diffe
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, is_frozen, step_of
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
 from scuhand_bt.dosing.identification import balance_of
-from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerAgain, ContainerLifted, LotDosed
+from scuhand_bt.events.weighings import BalanceSlower, BracketClosed, ContainerAgain, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Container
 

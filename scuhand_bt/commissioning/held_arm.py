@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from scuhand_bt.cell_spec import ChangerSpec, HandSpec
 from scuhand_bt.clock import carried_out
 from scuhand_bt.commissioning.limp_arm import limp
 from scuhand_bt.commissioning.step import Site
+from scuhand_bt.device_specs.changer import ChangerSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 
 SLOW_RATIO = 0.2

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.commissioning.step import Dialogue
+from scuhand_bt.device_specs.arm import ArmSpec
 from scuhand_bt.devices.crane_x7 import bus_of
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import arm_axes

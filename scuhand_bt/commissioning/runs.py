@@ -4,9 +4,9 @@ What is run by `scuhand-bt run` is not run here in another way: a step looks whe
 """
 
 from scuhand_bt.commissioning.step import Found, NotFound, Site
-from scuhand_bt.journal.events import Ended, RunBegun
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Ended, RunBegun
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.run.options import ON_TWINS

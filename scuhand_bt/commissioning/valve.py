@@ -16,10 +16,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from scuhand_bt.cell_spec import HandSpec, ValvePoint
 from scuhand_bt.clock import carried_out
 from scuhand_bt.commissioning.held_arm import held, led
 from scuhand_bt.commissioning.step import Found, NotFound, Site
+from scuhand_bt.device_specs.hand import HandSpec, ValvePoint
 from scuhand_bt.devices.connect import Devices
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.yaml_edit import Path as Keys

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from scuhand_bt.cell_spec import ValvePoint
 from scuhand_bt.clock import carried_out
 from scuhand_bt.commissioning.held_arm import held, led
 from scuhand_bt.commissioning.step import Found, NotFound, Site
@@ -30,6 +29,7 @@ from scuhand_bt.commissioning.valve import (
     as_written,
     weighed_pulse,
 )
+from scuhand_bt.device_specs.hand import ValvePoint
 from scuhand_bt.devices.connect import Devices
 from scuhand_bt.failures import Code, SkillFailed
 

@@ -9,9 +9,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from scuhand_bt.journal.archive import state_of
-from scuhand_bt.journal.events import JobStarted, RunBegun, SamplePlanned
+from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import RunBegun, SamplePlanned
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.doses import tone_of
 from scuhand_bt.report.picture import in_words

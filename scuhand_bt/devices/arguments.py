@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.failures import Code, SkillFailed

@@ -1,6 +1,6 @@
 """`driver: boxes`: a watcher that sees what it was told to see, for dry runs and rehearsals of what comes into a cell.
 
-A depth camera's driver meets the same Protocol (`interfaces.Watcher`); these boxes come and go at times of the run.
+A depth camera's driver meets the same Protocol (`instruments.Watcher`); these boxes come and go at times of the run.
 """
 
 import math
@@ -41,7 +41,7 @@ class Seen(Spec):
 
 
 class Boxes:
-    """Sees its boxes while they are there; see `scuhand_bt.devices.interfaces.Watcher`."""
+    """Sees its boxes while they are there; see `scuhand_bt.devices.instruments.Watcher`."""
 
     class Options(Spec):
         """What it sees."""

@@ -12,8 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scuhand_bt.cell_spec import CarouselOptions, ChangerSpec
 from scuhand_bt.clock import Signal, Steps, Wake
+from scuhand_bt.device_specs.changer import CarouselOptions, ChangerSpec
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus

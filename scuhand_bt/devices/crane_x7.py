@@ -4,8 +4,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import ClassVar
 
-from scuhand_bt.cell_spec import ArmOptions, ArmSpec, CellSpec, HandOptions
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Signal
+from scuhand_bt.device_specs.arm import ArmOptions, ArmSpec
+from scuhand_bt.device_specs.hand import HandOptions
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain

@@ -15,8 +15,9 @@ from typing import Literal
 
 from serial.tools import list_ports
 
-from scuhand_bt.cell_spec import CellSpec, HandSpec
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, carried_out, until
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.balances import SerialBalance
 from scuhand_bt.devices.connect import connect_alone
 from scuhand_bt.devices.crane_x7 import bus_of

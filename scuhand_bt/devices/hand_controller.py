@@ -10,8 +10,8 @@ import threading
 import time
 from collections.abc import Callable
 
-from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Signal
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.hand_protocol import SEQUENCES, VERSION, Hello, Report, decode, encode
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.serial_link import REOPEN_S, Framing, SerialLink

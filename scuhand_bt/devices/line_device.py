@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from scuhand_bt.clock import Signal
-from scuhand_bt.devices.interfaces import Site, Status
+from scuhand_bt.devices.instruments import Status
+from scuhand_bt.devices.interfaces import Site
 from scuhand_bt.devices.readers import Reader
 from scuhand_bt.devices.serial_link import Framing, SerialLink, Silence
 from scuhand_bt.failures import Code, SkillFailed

@@ -3,7 +3,7 @@
 from typing import ClassVar, Generic, TypeVar
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
-from scuhand_bt.devices.interfaces import Sample
+from scuhand_bt.devices.instruments import Sample
 from scuhand_bt.failures import Code, SkillFailed
 
 T = TypeVar("T")

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import RecordLost

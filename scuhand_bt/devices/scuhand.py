@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.arguments import (
     check_rim,
     checked_course,

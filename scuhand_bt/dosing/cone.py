@@ -11,7 +11,7 @@ above the horizontal. The roller drags the sheet's edge along the rim, by phi R 
 import math
 from dataclasses import dataclass
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.specs import Mortar
 
 

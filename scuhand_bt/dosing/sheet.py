@@ -9,7 +9,7 @@ strip; a factor that is to be measured, with a kitchen scale under the mortar, s
 N, mm, MPa.
 """
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 
 MODULUS_MPA = 2700.0
 """Polyacetal (data sheets: 2.6 to 2.9 GPa)."""

@@ -49,7 +49,8 @@ from itertools import chain, count
 
 import numpy as np
 
-from scuhand_bt.dosing.swing import LIP_GAP_MM, Floats, NoStrokeError, Stroke, least_attack_deg
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, NoStrokeError, Stroke
+from scuhand_bt.dosing.swing_plane import Floats, least_attack_deg
 from scuhand_bt.specs import Mortar, Powder
 
 BEHIND_MM = 4.0

@@ -23,10 +23,10 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.fleet.needs import offer_of
 from scuhand_bt.fleet.order import Order, write
 from scuhand_bt.fleet.queue import Queue, Taken
-from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.history import History, read_history
 from scuhand_bt.journal.presence import Held, Presence, is_held
 from scuhand_bt.journal.reader import open_journal
+from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.store import read_only
 from scuhand_bt.lab import load_lab, state_folder
 from scuhand_bt.problems import Mark, Problem, SourceError

@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from scuhand_bt.events import DoseCurve
+from scuhand_bt.events.doses import DoseCurve
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.events import (
     ActionEnded,
@@ -18,20 +18,16 @@ from scuhand_bt.journal.events import (
     Answered,
     ArmMoves,
     Asked,
-    Continued,
-    Ended,
     Frames,
     JobEnded,
     JobStarted,
-    Paused,
-    Resumed,
-    RunBegun,
     WorkflowTree,
 )
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import Contents, open_journal
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
 from scuhand_bt.journal.runs_index import Indexed, read_index, stamps, write_index
 from scuhand_bt.journal.waiting import Waiting
 from scuhand_bt.problems import Mark, Problem, SourceError

@@ -15,9 +15,10 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
-from scuhand_bt import events as of_skills
-from scuhand_bt.events import NOTE_KIND, SKILL_EVENTS, Event
-from scuhand_bt.journal import events as of_engine
+from scuhand_bt.events import cell, doses, weighings
+from scuhand_bt.events.catalogue import SKILL_EVENTS
+from scuhand_bt.events.entry import NOTE_KIND, Event
+from scuhand_bt.journal import events, run_events
 from scuhand_bt.journal.events import ENGINE_EVENTS, Frames
 from scuhand_bt.journal.kinds import KINDS
 from scuhand_bt.journal.telling import VERSION
@@ -114,7 +115,7 @@ def _table(kinds: Sequence[type[Event]]) -> str:
 def _docs() -> Mapping[str, Mapping[str, str]]:
     """What stands below the fields of each model: pydantic would read it too, but whenever a program starts."""
     found = {}
-    for module in (of_skills, of_engine):
+    for module in (weighings, doses, cell, run_events, events):
         for node in ast.parse(inspect.getsource(module)).body:
             if isinstance(node, ast.ClassDef):
                 found[node.name] = dict(_docs_of(node.body))

@@ -9,12 +9,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import DoseCurve, Event
-from scuhand_bt.journal.events import ArmMoves, Ended, Matter, WorkflowTree
+from scuhand_bt.events.doses import DoseCurve
+from scuhand_bt.events.entry import Event
+from scuhand_bt.journal.events import ArmMoves, WorkflowTree
 from scuhand_bt.journal.kinds import KINDS
 from scuhand_bt.journal.plain import json_parts
 from scuhand_bt.journal.reader import Contents, open_contents
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Ended, Matter
 
 DECIMALS = 6
 _ELSEWHERE = tuple(one.KIND for one in (SampleResult, Ended, Matter, DoseCurve, ArmMoves, WorkflowTree))

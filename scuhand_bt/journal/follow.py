@@ -12,7 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import SKILL_EVENTS, BracketClosed, ContainerPlaced, DoseCurve, Event, Weighing
+from scuhand_bt.events.catalogue import SKILL_EVENTS
+from scuhand_bt.events.doses import DoseCurve
+from scuhand_bt.events.entry import Event
+from scuhand_bt.events.weighings import BracketClosed, ContainerPlaced, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import (
     ActionEnded,
@@ -20,22 +23,18 @@ from scuhand_bt.journal.events import (
     Answered,
     ArmMoves,
     Asked,
-    Continued,
     Decided,
-    Ended,
     Frames,
     JobEnded,
     JobResumed,
     JobStarted,
-    Paused,
-    Resumed,
-    RunBegun,
     TreeNode,
     WorkflowTree,
 )
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import open_journal
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
 from scuhand_bt.journal.waiting import Waiting
 
 _OF_RUN = (

@@ -7,23 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import ContainerDiscarded, Dose, Event, ValueRecorded
-from scuhand_bt.journal.events import (
-    ActionEnded,
-    ActionStarted,
-    Decided,
-    Ended,
-    JobEnded,
-    JobResumed,
-    JobStarted,
-    NotResumable,
-    Resumed,
-    RunBegun,
-)
+from scuhand_bt.events.doses import Dose, ValueRecorded
+from scuhand_bt.events.entry import Event
+from scuhand_bt.events.weighings import ContainerDiscarded
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Decided, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.plain import to_json
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.journal.results import Chosen, SampleResult, SoFar
+from scuhand_bt.journal.run_events import Ended, NotResumable, Resumed, RunBegun
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.replay import Decision, Key, Recorded, Replay
 

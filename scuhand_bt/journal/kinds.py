@@ -5,7 +5,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from scuhand_bt.events import SKILL_EVENTS, Event
+from scuhand_bt.events.catalogue import SKILL_EVENTS
+from scuhand_bt.events.entry import Event
 from scuhand_bt.journal.events import ENGINE_EVENTS
 
 KINDS: Mapping[str, type[Event]] = {event.KIND: event for event in (*ENGINE_EVENTS, *SKILL_EVENTS)}

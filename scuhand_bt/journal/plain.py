@@ -8,7 +8,7 @@ from dataclasses import asdict, is_dataclass
 import numpy as np
 from pydantic import BaseModel, JsonValue
 
-from scuhand_bt.events import readable
+from scuhand_bt.events.entry import readable
 from scuhand_bt.specs import Container, Powder, Source
 
 

@@ -3,7 +3,9 @@
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from scuhand_bt.events import ContainerDiscarded, Dose, Event, Note, Text, ValueRecorded, Values
+from scuhand_bt.events.doses import Dose, ValueRecorded
+from scuhand_bt.events.entry import Event, Note, Text, Values
+from scuhand_bt.events.weighings import ContainerDiscarded
 from scuhand_bt.recipe.composition import Composition
 from scuhand_bt.specs import Verdict
 

@@ -16,8 +16,8 @@ from typing import Any
 
 from pydantic import JsonValue
 
-from scuhand_bt.journal.events import Resumed, RunBegun
 from scuhand_bt.journal.reader import open_journal
+from scuhand_bt.journal.run_events import Resumed, RunBegun
 from scuhand_bt.problems import SourceError
 
 VERSION = 1

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from scuhand_bt.events import Event
-from scuhand_bt.journal.events import ActionEnded, Answered, Asked, Ended, Resumed
+from scuhand_bt.events.entry import Event
+from scuhand_bt.journal.events import ActionEnded, Answered, Asked
+from scuhand_bt.journal.run_events import Ended, Resumed
 
 
 @dataclass

@@ -22,18 +22,10 @@ from pydantic import JsonValue
 
 from scuhand_bt.clock import Signal, Wake, wall_time
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import (
-    BracketClosed,
-    ContainerLifted,
-    CurveRow,
-    Discarded,
-    DoseBegun,
-    DoseCurve,
-    DoseWeighed,
-    Event,
-    Note,
-    Returned,
-)
+from scuhand_bt.events.cell import Discarded, Returned
+from scuhand_bt.events.doses import CurveRow, DoseCurve
+from scuhand_bt.events.entry import Event, Note
+from scuhand_bt.events.weighings import BracketClosed, ContainerLifted, DoseBegun, DoseWeighed
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest
 from scuhand_bt.journal.plain import to_json

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from scuhand_bt.events import ValueRecorded
+from scuhand_bt.events.doses import ValueRecorded
 from scuhand_bt.kit.rehearsed import Rehearsed, Rehearser, leaves_of
 from scuhand_bt.lab import TEST_SUFFIX, Lab
 from scuhand_bt.problems import Mark, Problems, SourceError, shorten

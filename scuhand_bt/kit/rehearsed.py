@@ -11,11 +11,11 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.lab import Lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import places_of, prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.fault_rules import FaultFile
 from scuhand_bt.tree.substitutes import Substitutes
 

@@ -13,7 +13,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from scuhand_bt.cell_spec import ArmSpec, HandSpec
+from scuhand_bt.device_specs.arm import ArmSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.motion.decomposed import DecomposedArm
 from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, Mount, apex
 from scuhand_bt.motion.near_links import meeting, neighbours

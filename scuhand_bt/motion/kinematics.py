@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, HandSpec
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.failures import Code, SkillFailed
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.decomposed import DecomposedArm
 from scuhand_bt.motion.explain import goal_blocked, require_reachable

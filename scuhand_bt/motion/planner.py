@@ -19,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import explain
 from scuhand_bt.motion.answers import Answers, Way

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from scuhand_bt.bench_spec import Station
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.arm_model import Arm
 from scuhand_bt.motion.collision import Scene, Solid

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.contact import AVERAGED_S, KEPT, STEP_S

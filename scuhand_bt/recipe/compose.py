@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.formula import Formula, FormulaText, is_element, parse_formula
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import RATIO, Milligrams, Ratio, format_mass, parse

@@ -5,7 +5,7 @@ It is reckoned in `recipe/stoichiometry.py`; here is what a sample is to be, and
 
 from typing import Literal
 
-from scuhand_bt.events import Text, Values
+from scuhand_bt.events.entry import Text, Values
 
 CompositionVerdict = Literal["in tolerance", "out of tolerance", "open", "not known"]
 """`open`: in tolerance as far as it is known, and the container is still to go; `not known`: a powder's dose is not."""

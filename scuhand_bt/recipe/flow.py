@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from scuhand_bt.events import Dose
+from scuhand_bt.events.doses import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, SkillFailed

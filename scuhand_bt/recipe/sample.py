@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from scuhand_bt.cell import places
-from scuhand_bt.cell_spec import BalanceSpec, CellSpec
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.motion import ApexPose, Mount, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass

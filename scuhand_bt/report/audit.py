@@ -4,10 +4,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from scuhand_bt.journal.events import Answered, Continued, Ended, Paused, Resumed, RunBegun, Trouble
+from scuhand_bt.journal.events import Answered
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import Chosen
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun, Trouble
 from scuhand_bt.lab_state.inventory import StockEntry
 
 UNKNOWN = "not told"

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from scuhand_bt.events import Dose, DoseCurve
+from scuhand_bt.events.doses import Dose, DoseCurve
 from scuhand_bt.journal.reader import Contents
 
 Point = Sequence[float]

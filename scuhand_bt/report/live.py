@@ -15,8 +15,8 @@ from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.report.live_terminal import LiveTerminal
 from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_grams, in_words
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.tree.leaf import SkillLeaf
 from scuhand_bt.tree.nodes import failure_of

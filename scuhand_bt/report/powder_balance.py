@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-from scuhand_bt.events import Discarded, Refilled, Returned, Scooped, SheetSwapped
-from scuhand_bt.journal.events import Matter, RunBegun
+from scuhand_bt.events.cell import Discarded, Refilled, Returned, Scooped, SheetSwapped
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
+from scuhand_bt.journal.run_events import Matter, RunBegun
 from scuhand_bt.report.weighing_record import weighing_rows
 
 

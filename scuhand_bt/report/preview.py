@@ -17,10 +17,10 @@ from scuhand_bt.report import viewer
 from scuhand_bt.report.doses import amount_cell, asked_cells
 from scuhand_bt.report.page import rendered
 from scuhand_bt.report.run_scene import run_motions, scene_of
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.study.odds import COVERED, Odds, Range
 
 NEVER = "in no dry run"

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from scuhand_bt.journal.archive import summary_of
-from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.reader import Contents
+from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.lab_state.ledger import Kept, LedgerFound
 
 NO_CHAIN = "an older scuhand-bt wrote it, without a chain: whether it was altered cannot be told"

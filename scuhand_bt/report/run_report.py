@@ -20,10 +20,11 @@ from markupsafe import Markup
 
 from scuhand_bt.failures import CATALOGUE
 from scuhand_bt.journal.archive import Summary, summary_of
-from scuhand_bt.journal.events import Asked, FaultRules, RunBegun
+from scuhand_bt.journal.events import Asked
 from scuhand_bt.journal.export import canonical_of
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import FaultRules, RunBegun
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.report import viewer

@@ -8,11 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import BracketClosed, ContainerPlaced
-from scuhand_bt.journal.events import ArmMoves, RunBegun
+from scuhand_bt.events.weighings import BracketClosed, ContainerPlaced
+from scuhand_bt.journal.events import ArmMoves
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
+from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.lab import CELL_FILE, Lab, is_lab, load_bench, starter_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.specs import Mortar

@@ -3,17 +3,10 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from scuhand_bt.events import Dose, Pulsed
-from scuhand_bt.journal.events import (
-    Answered,
-    Asked,
-    Continued,
-    Ended,
-    Paused,
-    Resumed,
-    RunBegun,
-)
+from scuhand_bt.events.doses import Dose, Pulsed
+from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.kinds import parsed
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
 from scuhand_bt.quantity import format_mass
 
 _LONG = ("readings", "bare", "loaded", "before", "traceback", "rules")

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from scuhand_bt.cell.scooping import planned_stroke
+from scuhand_bt.dosing.ladle import Ladle, NoStrokeError
 from scuhand_bt.dosing.strokes import across, require_level
-from scuhand_bt.dosing.swing import Ladle, NoStrokeError, stroke_path
+from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab

@@ -9,27 +9,24 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, get_args
 
-from scuhand_bt.events import (
+from scuhand_bt.events.cell import Discarded, Returned, Scooped, SheetSwapped, ValveChecked
+from scuhand_bt.events.doses import DoseCurve
+from scuhand_bt.events.entry import SkillEvent
+from scuhand_bt.events.weighings import (
     BalanceWatched,
     BracketClosed,
     ContainerAgain,
     ContainerLifted,
     ContainerPlaced,
-    Discarded,
     DoseBegun,
-    DoseCurve,
     DoseWeighed,
-    Returned,
     Reweighed,
-    Scooped,
-    SheetSwapped,
-    SkillEvent,
     Tared,
-    ValveChecked,
     WeightChecked,
 )
-from scuhand_bt.journal.events import Answered, ArmMoves, Asked, Continued, Ended, Paused, Resumed
+from scuhand_bt.journal.events import Answered, ArmMoves, Asked
 from scuhand_bt.journal.reader import Contents
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed
 
 Activity = Literal[
     "other",

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
-from scuhand_bt.journal.events import RunBegun, TreeNode
+from scuhand_bt.journal.events import TreeNode
 from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.picture import Asked, Node, Shown, in_grams
 

@@ -16,26 +16,26 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from scuhand_bt.events import (
+from scuhand_bt.events.doses import Dose, Pulsed
+from scuhand_bt.events.entry import Event
+from scuhand_bt.events.weighings import (
     BracketClosed,
     ContainerAgain,
     ContainerLifted,
     ContainerPlaced,
-    Dose,
     DoseWeighed,
-    Event,
     Line,
-    Pulsed,
     Reweighed,
     Tared,
     Weighed,
     Weighing,
     WeightChecked,
 )
-from scuhand_bt.journal.events import ContainerReweighed, JobStarted, PanCompared, Resumed, RunBegun, SourceUsed
+from scuhand_bt.journal.events import ContainerReweighed, JobStarted, PanCompared
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Resumed, RunBegun, SourceUsed
 from scuhand_bt.problems import harmless
 
 CONVENTION = (

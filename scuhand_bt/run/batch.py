@@ -3,30 +3,29 @@
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any
-
-from py_trees.behaviour import Behaviour
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.liveness import Hung
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import Broken, Ended, JobEnded, JobStarted
+from scuhand_bt.journal.events import JobEnded, JobStarted
 from scuhand_bt.journal.history import STOPPED, History, read_history
 from scuhand_bt.journal.results import Chosen, SampleResult, SampleVerdict, SoFar
+from scuhand_bt.journal.run_events import Broken, Ended
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, doubted, inputs_for, sample_result
+from scuhand_bt.run.observers import BatchObserver
+from scuhand_bt.run.outcome import BatchResult, Outcome, inputs_for
 from scuhand_bt.run.runner import Runner
+from scuhand_bt.run.sample_results import SampleResults
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.leaf import Consent, SkillBug
 from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.replay import Replay
@@ -34,60 +33,6 @@ from scuhand_bt.tree.substitutes import Substitutes
 
 ANSWERS = ("flag", "redo", "skip_sample", "stop")
 """What a person may choose for a failed sample, where the recipe says `ask`."""
-
-
-class BatchObserver:
-    """Is told how the batch goes on, and shows nothing of it; the live view and plain lines do."""
-
-    def tree_made(self, tree: Tree) -> None:
-        """The tree of an attempt at a job, before its first tick."""
-
-    def ticked(self, root: Behaviour) -> None:
-        """The tree after a tick; must be quick."""
-
-    def job_started(self, job: Job, number: int) -> None:
-        """A job of the plan begins, or a sample's is taken up; its number is counted from 0."""
-
-    def attempt_started(self, job: Job, attempt: int) -> None:
-        """An attempt at a job, or at a recovery, begins or is taken up."""
-
-    def sample_ended(self, result: SampleResult) -> None:
-        """A sample has its result, or another one than it had."""
-
-    def sample_known(self, result: SampleResult) -> None:
-        """A sample has had its result since before the run was resumed: as if it came now, unless told otherwise."""
-        self.sample_ended(result)
-
-
-class Observers(BatchObserver):
-    """Several, each told in its turn."""
-
-    def __init__(self, *observers: BatchObserver) -> None:
-        self._each = observers
-
-    def tree_made(self, tree: Tree) -> None:
-        for one in self._each:
-            one.tree_made(tree)
-
-    def ticked(self, root: Behaviour) -> None:
-        for one in self._each:
-            one.ticked(root)
-
-    def job_started(self, job: Job, number: int) -> None:
-        for one in self._each:
-            one.job_started(job, number)
-
-    def attempt_started(self, job: Job, attempt: int) -> None:
-        for one in self._each:
-            one.attempt_started(job, attempt)
-
-    def sample_ended(self, result: SampleResult) -> None:
-        for one in self._each:
-            one.sample_ended(result)
-
-    def sample_known(self, result: SampleResult) -> None:
-        for one in self._each:
-            one.sample_known(result)
 
 
 class Batch:
@@ -118,22 +63,13 @@ class Batch:
         self._journal = journal
         self._observer = observer
         self._control = control
-        self._true_mass_mg = true_mass_mg
         self._history = history or History()
         self._first = first
         self._after_job = after_job
         self._runner = Runner(cell, library, journal, control, Guards(cell), observer, substitutes, consent)
-        self._results: dict[str, SampleResult] = {}
+        self._results = SampleResults(plan, cell, journal, observer, true_mass_mg)
         self._overshot: list[SampleResult] = []
         """The last samples that were dosed, as long as they overshot."""
-        self._undoubted: list[str] = []
-        """The samples whose results have come or changed since all were doubted last."""
-        self._doubted_of = (0.0, 0.0)
-        """How large a step, and how fast a drift, of the balance's zero they were doubted of then."""
-        self._owners = {
-            container.id: sample.id for sample in plan.recipe.samples for container in sample.all_containers
-        }
-        """The samples of all containers, by the ids that these have in a first attempt."""
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
@@ -150,11 +86,11 @@ class Batch:
                 reason = f"{ending.reason}; a device did not stop".lstrip("; ")
                 ending = _ended(ExitCode.CELL_FAULT, reason, complete=ending.is_complete)
             for job in self._plan.jobs:
-                if job.sample is not None and job.sample.id not in self._results:
+                if job.sample is not None and job.sample.id not in self._results.by_id:
                     self._note_unreached(job.name, job.sample)
-            self._note_brackets()
-            self._note_open_brackets()
-            in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
+            self._results.note_brackets()
+            self._results.note_open_brackets()
+            in_order = tuple(self._results.by_id[sample.id] for sample in self._plan.recipe.samples)
             code = ending.exit_code
             if code == ExitCode.OK and any(not result.is_good for result in in_order):
                 code = ExitCode.FLAGGED
@@ -211,12 +147,14 @@ class Batch:
         begun = [attempt for name, attempt in self._history.jobs if name == job]
         attempt = begun[-1] if begun else 1
         if (known := self._history.samples.get((sample.id, attempt))) is not None:
-            self._take(known)
+            self._results.take(known)
         elif begun:
             before = self._history.jobs[job, attempt]
-            self._note(self._result(sample, before.so_far, "interrupted", None, before.began_s, attempt))
+            self._results.note(
+                self._results.result_of(sample, before.so_far, "interrupted", None, before.began_s, attempt)
+            )
         else:
-            self._note(self._result(sample, SoFar(), "not run", None, 0.0, 1))
+            self._results.note(self._results.result_of(sample, SoFar(), "not run", None, 0.0, 1))
 
     def _run_service(self, job: Job, attempt: int) -> Ended | None:
         outcome = self._run_job(job, job.inputs, None, attempt)
@@ -228,7 +166,9 @@ class Batch:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
         if (barren := self._barren_source(sample)) is not None and (job.name, 1) not in self._history.jobs:
             what = f"'{barren}' has brought nothing before, and was not tried again for this sample"
-            self._note(self._result(sample, SoFar(), "not run", SkillFailed(Code.SCOOP_NOTHING, what), 0.0, 1))
+            self._results.note(
+                self._results.result_of(sample, SoFar(), "not run", SkillFailed(Code.SCOOP_NOTHING, what), 0.0, 1)
+            )
             return None
         attempt = 1
         while True:
@@ -237,7 +177,9 @@ class Batch:
             outcome = self._run_job(job, inputs_for(sample, attempt), sample.id, attempt)
             failure = outcome.failure
             if outcome.interrupted is not None:
-                self._note(self._result(sample, self._journal.so_far, "interrupted", failure, began_s, attempt))
+                self._results.note(
+                    self._results.result_of(sample, self._journal.so_far, "interrupted", failure, began_s, attempt)
+                )
                 if failure is not None:
                     return _ended(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
                 return _ended(ExitCode.INTERRUPTED, "interrupted")
@@ -247,16 +189,16 @@ class Batch:
             verdict: SampleVerdict | None = "skipped" if action == "skip_sample" else None
             recorded = self._history.samples.get((sample.id, attempt))
             if recorded is not None and self._was_over(job.name, attempt):
-                self._take(recorded)
+                self._results.take(recorded)
                 self._observer.sample_known(recorded)
                 self._count_overshoots(recorded)
                 if self._too_many_overshoots() is not None:
                     self._overshot = []  # a person has looked since
             else:
-                result = self._result(sample, self._journal.so_far, verdict, failure, began_s, attempt)
+                result = self._results.result_of(sample, self._journal.so_far, verdict, failure, began_s, attempt)
                 self._count_overshoots(result)
-                self._note(result)
-            self._note_brackets()
+                self._results.note(result)
+            self._results.note_brackets()
             if failure is None:
                 return None
             if action == "stop":
@@ -361,79 +303,8 @@ class Batch:
             word = STOPPED if stops else "failed"
         code, detail = (failure.code, failure.detail) if failure is not None else (None, None)
         self._journal.job_ended(JobEnded(outcome=word, code=code, detail=detail))
-        self._note_brackets(sample_id)
+        self._results.note_brackets(sample_id)
         self._after_job()
-
-    def _result(
-        self,
-        sample: Sample,
-        so_far: SoFar,
-        verdict: SampleVerdict | None,
-        failure: SkillFailed | None,
-        began_s: float,
-        attempt: int,
-    ) -> SampleResult:
-        containers = replace(sample, inputs=inputs_for(sample, attempt)).all_containers
-        was_run = verdict != "not run"
-        true_mg = {}
-        if self._true_mass_mg is not None and was_run:
-            true_mg = {container.id: self._true_mass_mg(container.id) for container in containers}
-        believed = self._cell.believed.dosing
-        return sample_result(
-            sample,
-            so_far,
-            verdict,
-            failure,
-            scoops=believed.scoops if was_run else 0,
-            duration_s=self._cell.clock.now_s - began_s if was_run else 0.0,
-            true_mg=true_mg,
-            attempt=attempt,
-        )
-
-    def _note_brackets(self, waiting: str | None = None) -> None:
-        """Say of each sample whose container has gone what it came to by the bare pan, and of all what that tells.
-
-        One that has gone within the job of its own sample, which is still `waiting` for its result, waits too. What was
-        dosed into a container by another job than its sample's is no sample's dose.
-        """
-        believed = self._cell.believed
-        noted: dict[str, SampleResult] = {}
-        for closed in believed.closed:
-            owner = self._owners.get(closed.container.partition("#")[0])
-            result = self._results.get(owner) if owner is not None else None
-            if result is not None and any(dose.container == closed.container for dose in result.doses):
-                noted.setdefault(result.id, result)
-                self._results[result.id] = confirmed(result, closed)
-            elif owner is not None and (owner == waiting or result is None):
-                continue
-            believed.noted(closed)
-        seen = believed.zero_stepped_mg, believed.drift_mg_per_s
-        # Not all each time: a run of many samples comes here after each.
-        fresh = (*noted, *self._undoubted) if seen == self._doubted_of else self._results
-        for name in dict.fromkeys(fresh):
-            before = self._results[name]
-            now = doubted(before, *seen)
-            if now is not noted.get(name, before):
-                self._note(now)
-        self._undoubted, self._doubted_of = [], seen
-
-    def _note_open_brackets(self) -> None:
-        """Flag every dose whose container was not seen to go."""
-        for result in list(self._results.values()):
-            if result.code is None and any(dose.bracket == "open" for dose in result.doses):
-                what = (
-                    "after the dose its container was not taken off, and the bare pan not weighed (`remove_container`)"
-                )
-                self._note(result.model_copy(update={"code": Code.BALANCE_BRACKET_OPEN, "detail": what}))
-
-    def _note(self, result: SampleResult) -> None:
-        self._journal.event(result)
-        self._take(result)
-        self._observer.sample_ended(result)
-
-    def _take(self, result: SampleResult) -> None:
-        self._results[result.id] = result
-        self._undoubted.append(result.id)
 
 
 def _ended(exit_code: int, reason: str, *, complete: bool = False) -> Ended:

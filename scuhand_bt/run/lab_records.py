@@ -12,8 +12,9 @@ from datetime import datetime
 from pathlib import Path
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.events import Event, Note
-from scuhand_bt.journal.events import Asked, Paused, Trouble
+from scuhand_bt.events.entry import Event, Note
+from scuhand_bt.journal.events import Asked
+from scuhand_bt.journal.run_events import Paused, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState
@@ -21,9 +22,9 @@ from scuhand_bt.lab_state.inventory import Inventory, Stock
 from scuhand_bt.lab_state.ledger import Ledger, Occasion
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
-from scuhand_bt.run.make_cell import DryRun, Simulation
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.simulation import DryRun, Simulation
 from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 
 

@@ -5,90 +5,46 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 from scuhand_bt.cell.believed import slot_of as believed_slot
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.clock import Clock
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.roller import FILE_NAME as ROLLER_FILE
-from scuhand_bt.drivers import NAMED_KINDS, UNWIRED, NotPluggable, is_ours
-from scuhand_bt.journal.events import NotResumable
+from scuhand_bt.journal.run_events import NotResumable
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.lab import Lab, cell_mark, without_driver
+from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.problems import Problems, SourceError
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
+from scuhand_bt.run.bench import NOT_ON_TWINS, find_plants, require_twins
 from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.hands import check_weight
 from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator, Terminal
 from scuhand_bt.run.outage import rim_in_words
 from scuhand_bt.run.prepared_motion import motion_of, places_of, prepared_motion
 from scuhand_bt.run.questions import Questions
+from scuhand_bt.run.simulation import DryRun, Rehearsal, Simulation
 from scuhand_bt.run.twins import Made, Twins, folder_of_run, open_twins
 from scuhand_bt.sim.cell import simulated_cell
-from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.plant import probed_plant
-from scuhand_bt.sim.wire.bench import WireBench, at_twins
+from scuhand_bt.sim.wire.bench import at_twins
 from scuhand_bt.sim.wire.hand import compiler
-from scuhand_bt.sim.wire.scene import twin_of
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import Container, Source
+from scuhand_bt.specs import Container
 
-NOT_ON_TWINS = dict.fromkeys(OUTAGES, "twins that have ended are there again as they were")
-NOT_WITHOUT_A_RUN = {**NOT_ON_TWINS, "operator.refuses": "nobody is asked by twins alone"}
-NOT_WITHOUT_A_RECIPE = {
-    "powder.clog": "no powder is behind twins alone",
-    "cone.leak": "no powder is behind twins alone",
-    "scoop.nothing": "no powder is behind twins alone",
-    "vibration.dead": "no powder is behind twins alone that would feel it",
-    "container.wrong": "nothing is put on the pan of twins alone",
-    **NOT_WITHOUT_A_RUN,
-}
-"""Faults that twins cannot show, and why."""
 FAULTS = "faults.yaml"
 """What goes wrong on a rehearsal's twins, in their folder."""
 REHEARSED_ANSWER_S = 2.0
 """Time that the simulated person of a rehearsal takes to do what is asked."""
 
 
-@dataclass(frozen=True)
-class DryRun:
-    """Simulated devices on a virtual clock: the seed, the physics, how fast time may pass (None: at once).
-
-    `faults` is what goes wrong.
-    """
-
-    mode: ClassVar = "SIMULATED"
-    seed: int = 0
-    plant: str | None = None
-    speed: float | None = None
-    faults: FaultFile | None = None
-    asks: bool = False
-    """A person is asked, as at the real cell, and time goes on as it does for that person; else one is simulated."""
-
-
-@dataclass(frozen=True)
-class Rehearsal:
-    """The real drivers in real time, against twins of the devices: the seed, and the physics behind them.
-
-    `faults` is what goes wrong.
-    """
-
-    mode: ClassVar = "REHEARSAL (simulated matter, real drivers)"
-    seed: int = 0
-    plant: str | None = None
-    faults: FaultFile | None = None
-    asks: bool = False
-    """A person is asked though no terminal is there."""
-
-
-Simulation = DryRun | Rehearsal
 Ask = Callable[[Clock], PersonOperator]
 """Makes the operator who asks a person, on a run's clock."""
 
@@ -188,7 +144,7 @@ def _dry_run(
     restore: bool,
     ask: Ask,
 ) -> Setup:
-    _find_plants(lab)
+    find_plants(lab)
     liveness = Liveness()
     clock = VirtualClock(speed=dry_run.speed, beat=liveness.beat)
     faults = _faults(plan, dry_run)
@@ -238,8 +194,8 @@ def _rehearsal(
     ask: Ask,
     resumed_at_s: float | None,
 ) -> Setup:
-    _require_twins(lab)
-    _find_plants(lab)
+    require_twins(lab)
+    find_plants(lab)
     _faults(plan, rehearsal)
     has_person = rehearsal.asks or sys.stdin.isatty()
     if rehearsal.faults is not None:
@@ -384,61 +340,3 @@ def _follow_hands(world: World, cell: Cell) -> None:
 
     cell.sheet_mounted, cell.mortar_refilled = world.swap_sheet, world.refill
     cell.weight_on_pan = weight_on_pan
-
-
-def _find_plants(lab: Lab) -> None:
-    """A plant may be a module of the lab or of the working folder; they come last, so that they hide nothing."""
-    sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
-
-
-def _require_twins(lab: Lab) -> None:
-    """SourceError for a cell with a device that has no twin, and so cannot be rehearsed."""
-    problems, cell = Problems(), lab.cell
-    for name in cell.device_names:
-        kind, driver = cell.kind_of(name), cell.section(name).driver
-        try:
-            if (kind, driver) not in UNWIRED and (not is_ours(kind, driver) or kind in NAMED_KINDS):
-                twin_of(kind, driver)
-                if kind in ("arm", "hand"):
-                    raise NotPluggable(
-                        f"'{driver}': the world of a rehearsal has no place for the twin of another {kind}"
-                    )
-        except NotPluggable as error:
-            keys = (name, "driver") if kind == name else ("devices", name, "driver")
-            problems.add(cell_mark(lab, *keys), f"driver {error}", "a dry run simulates it", code="no-twin")
-    problems.raise_any()
-
-
-def bench_of(
-    lab: Lab,
-    seed: int = 0,
-    faults: FaultFile | None = None,
-    sources: Mapping[str, Source] | None = None,
-    *,
-    plant: str | None = None,
-    ports: Path | None = None,
-    clock: Clock | None = None,
-    of_run: bool = False,
-) -> WireBench:
-    """The twins of a lab's cell: the arm parked, nothing on the pan, the powder of `sources` in mortars.
-
-    `ports` is the folder of their ports, one of its own if None; `of_run`: a run will tell them of its samples.
-    Raises NoCompiler, PlantError, and SourceError for faults that could have no effect.
-    """
-    _require_twins(lab)
-    _find_plants(lab)
-    if faults is not None and of_run:
-        faults.refuse(NOT_ON_TWINS)
-    elif faults is not None:
-        faults.refuse(NOT_WITHOUT_A_RUN if sources else NOT_WITHOUT_A_RECIPE, "twins alone know of no sample")
-    return WireBench(
-        lab.cell,
-        sources or {},
-        lab.folder / "robot" / "firmware",
-        lab.motion_planner({}).home(),
-        clock or WallClock(),
-        seed,
-        plant,
-        ports,
-        Faults(faults.rules if faults is not None else (), seed),
-    )

@@ -10,7 +10,8 @@ from typing import Protocol
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import SEEN, Operator
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.journal.events import Answered, Asked, Trouble
+from scuhand_bt.journal.events import Answered, Asked
+from scuhand_bt.journal.run_events import Trouble
 from scuhand_bt.problems import harmless
 from scuhand_bt.run.questions import Question, Questions, Who, wrong_pin
 from scuhand_bt.sim.faults import Faults

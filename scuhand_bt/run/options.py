@@ -9,15 +9,15 @@ import scuhand_bt
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import wall_time
 from scuhand_bt.dosing import CONTROLLERS
-from scuhand_bt.journal.events import OptionsGiven, RunBegun, SamplePlanned, SourceUsed
 from scuhand_bt.journal.history import History
 from scuhand_bt.journal.plain import plain_values
+from scuhand_bt.journal.run_events import OptionsGiven, RunBegun, SamplePlanned, SourceUsed
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan
-from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.resume import lab_files
+from scuhand_bt.run.simulation import DryRun, Rehearsal, Simulation
 from scuhand_bt.sim.fault_rules import parse_faults
 
 LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic", "molmass")

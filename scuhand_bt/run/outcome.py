@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.dosing.bracket import unseen_mg
 from scuhand_bt.dosing.verdict import judge
-from scuhand_bt.events import Dose
+from scuhand_bt.events.doses import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.results import DoseResult, SampleResult, SampleVerdict, SoFar
 from scuhand_bt.recipe.sample import Ask, Sample

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import scuhand_bt
-from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.hash_chain import NO_ENTRY
 from scuhand_bt.journal.history import History, history_of
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_verified
+from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.lab import TEST_SUFFIX, Lab, files_of, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError

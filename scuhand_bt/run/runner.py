@@ -12,8 +12,9 @@ from py_trees.common import Status
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import ActionEnded, ActionStarted, Continued, Decided, Paused, TreeNode, WorkflowTree
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Decided, TreeNode, WorkflowTree
 from scuhand_bt.journal.plain import plain, plain_values, to_json
+from scuhand_bt.journal.run_events import Continued, Paused
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.run.control import Control

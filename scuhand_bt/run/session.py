@@ -13,7 +13,7 @@ import scuhand_bt
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Reading, is_twin
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.journal.events import Broken, Ended, FaultRules, Matter, Resumed, RuleAccount, Trouble
+from scuhand_bt.journal.run_events import Broken, Ended, FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.lab_db import user_name
@@ -23,20 +23,22 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
-from scuhand_bt.run.batch import Batch, BatchObserver
+from scuhand_bt.run.batch import Batch
 from scuhand_bt.run.cell_state import MotionRecord, state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.lab_records import LabRecords
-from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
+from scuhand_bt.run.make_cell import set_up
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import ON_TWINS, Options, check_controller, described
 from scuhand_bt.run.outage import settle_arm, settle_outage, settle_roller
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
+from scuhand_bt.run.simulation import DryRun, Rehearsal
 from scuhand_bt.run.single_step import SingleStep
 from scuhand_bt.run.twins import folder_of_run
 from scuhand_bt.skill import SkillFailed

@@ -14,10 +14,10 @@ from scuhand_bt.clock import Signal, Wake
 from scuhand_bt.journal.presence import Held, Presence
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.control import address_of
 from scuhand_bt.run.hands import Answer, Hands
-from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.run.twins import LOCK, WORLD, Made
 from scuhand_bt.sim.fault_rules import FaultFile
 from scuhand_bt.specs import Source

@@ -13,8 +13,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.faults import FLIPPED, Faults

@@ -14,8 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.devices.arguments import (
     check_rim,
     checked_course,

@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.boxes import Boxes
-from scuhand_bt.devices.interfaces import Device, Sample, Status
+from scuhand_bt.devices.instruments import Sample, Status
+from scuhand_bt.devices.interfaces import Device
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.world import World
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.random import Generator
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.sim.bed import HeightField
 from scuhand_bt.sim.cone_over import Floats
 from scuhand_bt.sim.powder import OurPowderFlow

@@ -14,7 +14,7 @@ import math
 
 from numpy.random import Generator
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 
 FALL_TIME_S = math.sqrt(2.0 * 0.080 / 9.81)
 

@@ -1,36 +1,25 @@
 """What is wrong in a skill's file and would only come up in the middle of a run, found in its text by `ast`.
 
-Names are followed by their annotations, from `cell` on: `cell.hand.pulse(…)` is `Hand.pulse`, which returns `Steps`
-and so does nothing without `yield from`. What cannot be followed is taken for right.
+What its names stand for is in `names.py`; what cannot be followed is taken for right.
 """
 
 import ast
-import builtins
-import collections.abc
-import importlib
 import inspect
 import types
 import typing
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, PydanticSchemaGenerationError, TypeAdapter, ValidationError
+from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.leased import of_arm
-from scuhand_bt.cell_spec import DEVICES, CellSpec
-from scuhand_bt.clock import Wake
+from scuhand_bt.cell_spec import DEVICES
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, Skill
+from scuhand_bt.skill_files.names import CLOCKS, Function, Names, fields_of, has_member
 
-Function = ast.FunctionDef | ast.AsyncFunctionDef
-CLOCKS = {
-    "time": ("sleep", "time", "time_ns", "monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns"),
-    "asyncio": ("sleep",),
-    "datetime": ("now", "utcnow", "today"),
-}
-"""What tells the computer's time, or waits by it: functions of a module, or of its classes."""
 RESUMING = "settle"
 """The method that has the arm and the balance, too: by them an interrupted action is taken up."""
 
@@ -121,35 +110,22 @@ class _FunctionCheck:
         skill: type[Skill[Any]] | None,
     ) -> None:
         self._function = function
-        self._names = names
-        self._generators = generators
+        self._names = Names(function, names, generators, skill)
         self._leased = leased
         self._problems = problems
         self._file = file
         self._skill = skill
-        self._local = dict(self._parameters())
-
-    def _parameters(self) -> Iterator[tuple[str, Any]]:
-        arguments = self._function.args
-        if self._skill is not None:
-            yield arguments.args[0].arg, self._skill
-        for argument in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs):
-            said = ast.unparse(argument.annotation) if argument.annotation is not None else ""
-            if said == "CellSpec" or (argument.arg == "cell" and self._function.name == "forecast"):
-                yield argument.arg, CellSpec
-            elif said == "Cell" or (argument.arg == "cell" and not said):
-                yield argument.arg, Cell
 
     def check(self) -> None:
         nodes = list(_within(self._function))
         for node in nodes:
-            self._follow(node)
+            self._names.follow(node)
         for node in nodes:
             if isinstance(node, ast.Attribute):
                 self._check_member(node)
             elif isinstance(node, ast.Yield):
                 self._check_yield(node, nodes)
-            elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and self._is_steps(node.value):
+            elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and self._names.is_steps(node.value):
                 what = f"`{ast.unparse(node.value.func)}(…)` does nothing by itself: it is waited for"
                 self._add(node, what, f"`yield from {ast.unparse(node.value.func)}(…)`", "skill-not-waited")
             elif isinstance(node, ast.Try):
@@ -165,36 +141,13 @@ class _FunctionCheck:
     def _add(self, node: ast.AST, what: str, remedy: str, code: str, **names: Any) -> None:
         self._problems.add(_mark(self._file, node), what, remedy, code=code, **names)
 
-    def _follow(self, node: ast.AST) -> None:
-        """`hand = cell.hand` and `a, b = cell.a, cell.b` are followed; a name that is given twice is not."""
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            self._import(node)
-        if not isinstance(node, ast.Assign) or len(node.targets) != 1:
-            return
-        target, value = node.targets[0], node.value
-        pairs = [(target, value)]
-        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
-            pairs = list(zip(target.elts, value.elts, strict=True))
-        for name, given in pairs:
-            if isinstance(name, ast.Name):
-                self._local[name.id] = None if name.id in self._local else self._type_of(given)
-
-    def _import(self, node: ast.Import | ast.ImportFrom) -> None:
-        """A clock that only this function imports."""
-        for name in node.names:
-            module = name.name if isinstance(node, ast.Import) else node.module
-            if module in CLOCKS:
-                found = importlib.import_module(module)
-                given = found if isinstance(node, ast.Import) else getattr(found, name.name, None)
-                self._names = {**self._names, name.asname or name.name: given}
-
     def _check_member(self, node: ast.Attribute) -> None:
-        owner = self._type_of(node.value)
+        owner = self._names.type_of(node.value)
         if owner is None:
             return
-        if not _has(owner, node.attr):
+        if not has_member(owner, node.attr):
             known = [name for name in dir(owner) if not name.startswith(("_", "model_"))]
-            known += [name for name in _fields(owner) if name not in known]
+            known += [name for name in fields_of(owner) if name not in known]
             if self._skill is not None and owner is self._skill:
                 known = [*owner.model_fields, *(name for name in vars(owner) if not name.startswith("_"))]
             what = f"a {owner.__name__} has no '{node.attr}'"
@@ -208,7 +161,9 @@ class _FunctionCheck:
     def _check_device(self, node: ast.Call) -> None:
         """`cell.device("air")`, of a further device of the cell."""
         called, named = node.func, node.args[0] if len(node.args) == 1 else None
-        if not (isinstance(called, ast.Attribute) and called.attr == "device" and self._type_of(called.value) is Cell):
+        if not (
+            isinstance(called, ast.Attribute) and called.attr == "device" and self._names.type_of(called.value) is Cell
+        ):
             return
         name = named.value if isinstance(named, ast.Constant) and isinstance(named.value, str) else None
         if name is not None and self._leased is not None and name not in self._leased:
@@ -223,7 +178,7 @@ class _FunctionCheck:
                 self._add(
                     node, what, "`yield from pause(cell, 1.0)`, `yield Wake(cell.clock.now_s + 1.0)`", "skill-yield"
                 )
-        elif isinstance(value, ast.Call) and self._is_steps(value):
+        elif isinstance(value, ast.Call) and self._names.is_steps(value):
             call = ast.unparse(value.func)
             self._add(
                 node,
@@ -248,7 +203,7 @@ class _FunctionCheck:
             return
         for handler in node.handlers:
             caught = handler.type.elts if isinstance(handler.type, ast.Tuple) else [handler.type]
-            is_any = any(one is None or self._object(one) in (BaseException, GeneratorExit) for one in caught)
+            is_any = any(one is None or self._names.object_of(one) in (BaseException, GeneratorExit) for one in caught)
             if is_any and not any(isinstance(inner, ast.Raise) for part in handler.body for inner in _with(part)):
                 what = "this catches what halts the skill, too"
                 self._add(
@@ -265,7 +220,7 @@ class _FunctionCheck:
 
     def _check_arguments(self, node: ast.Call) -> None:
         """What a method of a device, or a function of the SDK, is called with."""
-        function, own = self._function_of(node.func)
+        function, own = self._names.function_of(node.func)
         is_told = not any(isinstance(one, ast.Starred) for one in node.args) and all(one.arg for one in node.keywords)
         if function is None or not is_told:
             return
@@ -276,19 +231,8 @@ class _FunctionCheck:
             what = f"`{ast.unparse(node.func)}` is called with other values than it takes: {error}"
             self._add(node, what, f"it takes ({', '.join(takes)})", "skill-arguments")
 
-    def _function_of(self, called: ast.expr) -> tuple[types.FunctionType | None, tuple[None, ...]]:
-        """A function of ours that is called, and what it is given beside: a method its object."""
-        function = self._object(called)
-        own: tuple[None, ...] = ()
-        if function is None and isinstance(called, ast.Attribute):
-            owner = self._type_of(called.value)
-            is_method = owner is not None and called.attr not in _fields(owner)
-            function, own = inspect.getattr_static(owner, called.attr, None) if is_method else None, (None,)
-        is_ours = isinstance(function, types.FunctionType) and function.__module__.startswith("scuhand_bt.")
-        return (function, own) if is_ours else (None, ())
-
     def _check_clock(self, node: ast.Call) -> None:
-        called = self._object(node.func)
+        called = self._names.object_of(node.func)
         home = getattr(called, "__module__", None) or getattr(getattr(called, "__self__", None), "__module__", None)
         for module, functions in CLOCKS.items():
             if home == module and called.__name__ in functions:
@@ -299,41 +243,6 @@ class _FunctionCheck:
                     what = f"`{ast.unparse(node.func)}` is the computer's time, not the run's"
                 remedy = "`yield from pause(cell, …)`" if called.__name__ == "sleep" else "`cell.clock.now_s`"
                 self._add(node, what, remedy, "skill-clock")
-
-    def _object(self, node: ast.expr) -> Any:
-        """What a name of the module, or an attribute of one, or of a class of it, stands for."""
-        if isinstance(node, ast.Name):
-            return None if node.id in self._local else self._names.get(node.id, getattr(builtins, node.id, None))
-        if isinstance(node, ast.Attribute) and isinstance(owner := self._object(node.value), types.ModuleType | type):
-            return getattr(owner, node.attr, None)
-        return None
-
-    def _is_steps(self, call: ast.Call) -> bool:
-        function = call.func
-        if isinstance(function, ast.Attribute) and isinstance(function.value, ast.Name) and function.value.id == "self":
-            return function.attr in self._generators
-        if isinstance(function, ast.Name) and function.id in self._generators:
-            return True
-        returned = self._returned(function)
-        return typing.get_origin(returned) is collections.abc.Generator
-
-    def _returned(self, function: ast.expr) -> Any:
-        called = self._object(function)
-        if called is None and isinstance(function, ast.Attribute):
-            owner = self._type_of(function.value)
-            called = inspect.getattr_static(owner, function.attr, None) if owner is not None else None
-        return _hints(called).get("return") if isinstance(called, types.FunctionType) else None
-
-    def _type_of(self, node: ast.expr) -> type | None:
-        """The class of an expression, by annotations; None where it cannot be told."""
-        if isinstance(node, ast.Name):
-            return self._local.get(node.id)
-        if isinstance(node, ast.Attribute):
-            owner = self._type_of(node.value)
-            return _class(_member_type(owner, node.attr)) if owner is not None else None
-        if isinstance(node, ast.Call):
-            return _class(self._returned(node.func))
-        return None
 
 
 def _has_self(function: Function) -> bool:
@@ -352,47 +261,6 @@ def _why_no_default(info: FieldInfo) -> str | None:
     except PydanticSchemaGenerationError:  # a type of the lab's own
         pass
     return None
-
-
-def _has(owner: type, name: str) -> bool:
-    return hasattr(owner, name) or name in _fields(owner)
-
-
-def _fields(owner: type) -> set[str]:
-    return {name for cls in owner.__mro__ for name in getattr(cls, "__annotations__", {})}
-
-
-def _member_type(owner: type, name: str) -> Any:
-    if issubclass(owner, BaseModel) and name in owner.model_fields:
-        return owner.model_fields[name].annotation
-    member = inspect.getattr_static(owner, name, None)
-    if isinstance(member, property):
-        return _hints(member.fget).get("return")
-    for cls in owner.__mro__:
-        said = getattr(cls, "__annotations__", {}).get(name)
-        if said is not None:
-            return said if not isinstance(said, str) else _named(said, cls)
-    return None
-
-
-def _named(said: str, cls: type) -> Any:
-    return vars(inspect.getmodule(cls)).get(said.strip("\"'"))
-
-
-def _hints(function: Any) -> Mapping[str, Any]:
-    try:
-        return typing.get_type_hints(function)
-    except (NameError, TypeError):  # a name that is imported for type checkers only
-        return {}
-
-
-def _class(annotation: Any) -> type | None:
-    """One of the engine's classes; of `X | None` the class X, as nobody reads an attribute of nothing."""
-    members = [member for member in typing.get_args(annotation) if member is not type(None)]
-    if isinstance(annotation, types.UnionType) and len(members) == 1:
-        annotation = members[0]
-    is_ours = isinstance(annotation, type) and annotation.__module__.startswith("scuhand_bt.")
-    return annotation if is_ours and annotation is not Wake else None
 
 
 def _within(function: ast.AST) -> Iterator[ast.AST]:

@@ -9,17 +9,18 @@ from collections import Counter, defaultdict
 from functools import lru_cache
 from pathlib import Path
 
-from scuhand_bt.events import Discarded, Event, Kept, Note, Refilled, Returned, Scooped
+from scuhand_bt.events.cell import Discarded, Kept, Refilled, Returned, Scooped
+from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Job, Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.study.change import changed
 from scuhand_bt.study.some_cell import SomeCell

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.stats import norm
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.specs import Powder

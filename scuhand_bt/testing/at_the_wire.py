@@ -9,8 +9,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from scuhand_bt.cell_spec import ChangerSpec, DeviceSpec
+from scuhand_bt.cell_spec import DeviceSpec
 from scuhand_bt.clock import Clock
+from scuhand_bt.device_specs.changer import ChangerSpec
 from scuhand_bt.devices.interfaces import Site
 from scuhand_bt.drivers import driver_of
 from scuhand_bt.failures import SkillFailed

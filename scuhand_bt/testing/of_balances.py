@@ -6,8 +6,8 @@ Each check raises AssertionError with what is wrong. The second half runs in rea
 import random
 import time
 
-from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import carried_out
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, OutOfRange, Refused, Weight
 from scuhand_bt.devices.interfaces import Site, is_twin
 from scuhand_bt.drivers import driver_of

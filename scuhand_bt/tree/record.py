@@ -8,7 +8,7 @@ from pydantic import ConfigDict
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
-from scuhand_bt.events import ValueRecorded
+from scuhand_bt.events.doses import ValueRecorded
 from scuhand_bt.skill import Skill
 from scuhand_bt.tree.wires import QUANTITIES, WireType
 

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import AllowInfNan, BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from scuhand_bt import quantity
-from scuhand_bt.events import Dose
+from scuhand_bt.events.doses import Dose
 from scuhand_bt.quantity import Unit, plain_name
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.validation import refusal

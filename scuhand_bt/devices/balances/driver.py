@@ -10,8 +10,8 @@ import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.balances.conversation import Conversation, Phase
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, Frame, OutOfRange, Weight
 from scuhand_bt.devices.balances.plausibility import CONFIRMATIONS, Misfit, Plausibility, misfit

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import ClassVar, TypeAlias
 
-from scuhand_bt.cell_spec import BalanceOptions
+from scuhand_bt.device_specs.balance import BalanceOptions
 from scuhand_bt.devices.interfaces import Balance, Site
 from scuhand_bt.devices.serial_link import Framing
 

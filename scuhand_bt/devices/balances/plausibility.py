@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from itertools import pairwise
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.balances.frames import MILLIGRAMS_PER_UNIT, OutOfRange, Weight
 from scuhand_bt.devices.interfaces import Reading
 

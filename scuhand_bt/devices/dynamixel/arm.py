@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.clock import Signal, Steps, Wake
+from scuhand_bt.device_specs.arm import ArmSpec
 from scuhand_bt.devices.arguments import check_trajectory
 from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.registers import XM430, XM540

@@ -3,37 +3,26 @@
     with WireBench(spec, sources, firmware, joints, clock) as bench:
         devices = connect_cell_devices(bench.spec, clock)
 
-The world sees the servos' shafts and the valve's position, not commands; the balance's twin shows what the
-world's balance reads.
+The balance's twin shows what the world's balance reads.
 """
 
-import math
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar
 
-import numpy as np
-
-from scuhand_bt.cell_spec import DEVICES, MOUNTED_DIAMETER_MM, ArmOptions, CellSpec, HandSpec
+from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Joints, Reading
-from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.drivers import UNWIRED
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount
-from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.instruments import ROOM
-from scuhand_bt.sim.mass_ledger import Compartment
-from scuhand_bt.sim.outage import SAG_RAD
 from scuhand_bt.sim.plain_state import Plain
-from scuhand_bt.sim.plant import Plant, probed_plant
-from scuhand_bt.sim.snapshot import Stateful
+from scuhand_bt.sim.plant import probed_plant
 from scuhand_bt.sim.wire.balances import balance_twin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.faults import WireFaults
@@ -42,210 +31,14 @@ from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.power import Supplies
 from scuhand_bt.sim.wire.scene import at_a_twin, twin_of
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.sim.wire.servo import Servo
-from scuhand_bt.sim.world import STEP_S, World
+from scuhand_bt.sim.wire.shafts import WireArm, WireHand
+from scuhand_bt.sim.wire.world import WireWorld
+from scuhand_bt.sim.world import STEP_S
 from scuhand_bt.specs import Container, Source
 
-SHOULDER = 1
-STILL_AFTER_S = 0.1
-"""What has not moved for this long stands still."""
-SHUT_MM = 0.01
 SWITCH_S = 0.0005
 """How often Python's threads take turns: drivers, twins and the world share one interpreter here, and at its
 usual 5 ms a servo would be kept waiting."""
-COUNTS_PER_RAD = 4096 / (2 * math.pi)
-SINKS_RAD_PER_S = 0.3
-"""So fast the shoulder of an arm without power gives way, and by `SAG_RAD` at most: then it rests on something."""
-UNSAVED_S = 0.5
-"""A world in which no powder moves is saved so often."""
-
-
-class WireArm(SimulatedArm):
-    """The world's arm: it is where the servos are."""
-
-    def __init__(
-        self, clock: Clock, mount: Callable[[], Mount], joints: Joints, servos: list[Servo], built: ArmOptions
-    ) -> None:
-        super().__init__(clock, mount, joints)
-        self._servos = servos
-        self._homes, self._per_rad = np.array(built.home_counts), np.array(built.directions) * COUNTS_PER_RAD
-        self._moved_s = float("-inf")
-        self._now_s = self._sunk_rad = 0.0
-        self.stand_at(joints)
-
-    def stand_at(self, joints: Joints) -> None:
-        """A hand has moved the arm there, which was limp."""
-        for servo, count in zip(self._servos, (self._homes + joints * self._per_rad).tolist(), strict=True):
-            servo.position = count
-            servo.stand()
-
-    @property
-    def is_limp(self) -> bool:
-        """No servo of it holds anything."""
-        return not any(servo.has_torque and servo.is_powered for servo in self._servos)
-
-    @property
-    def joints(self) -> Joints:
-        """Where the servos are, as they are built in."""
-        joints: Joints = (np.array([servo.position for servo in self._servos]) - self._homes) / self._per_rad
-        return joints
-
-    @property
-    def is_active(self) -> bool:
-        return self._now_s - self._moved_s < STILL_AFTER_S
-
-    def advance(self, end_s: float) -> None:
-        """See where the servos are."""
-        self._sink(end_s - self._now_s)
-        joints = self.joints
-        if np.abs(joints - self._rest).max() > 0.5 / COUNTS_PER_RAD:
-            if not self.is_active:
-                self.faults.chance("motion", end_s)
-            self._moved_s = end_s
-            self._hold(joints)
-        self._now_s = end_s
-
-    def _sink(self, dt_s: float) -> None:
-        """There are no brakes. Once the power is back a person has hold of it, whether or not it has torque."""
-        if self._servos[SHOULDER].is_powered:
-            self._sunk_rad = 0.0
-            return
-        by_rad = min(SINKS_RAD_PER_S * dt_s, SAG_RAD - self._sunk_rad)
-        self._sunk_rad += by_rad
-        joints = self.joints
-        joints[SHOULDER] = max(joints[SHOULDER] - by_rad, LIMITS_RAD[0, SHOULDER])
-        self.stand_at(joints)
-
-
-class WireHand(SimulatedHand):
-    """The world's hand: its valve is where the twin's is, its cone what the roller's servo has made of it."""
-
-    STATE = (*SimulatedHand.STATE, "_at_zero_deg")
-
-    def __init__(self, spec: HandSpec, clock: Clock, board: HandTwin, roller: Servo) -> None:
-        super().__init__(spec, clock)
-        self._board = board
-        self._roller = roller
-        self.rim_is(MOUNTED_DIAMETER_MM)
-        self._morphed_s = self._closed_s = float("-inf")
-        self._now_s = 0.0
-
-    @property
-    def _roller_deg(self) -> float:
-        return self._roller.shaft * 360 / 4096
-
-    def rim_is(self, diameter_mm: float) -> None:
-        """A sheet is mounted so, as the roller stands now."""
-        self._at_zero_deg = Cone(diameter_mm, self.spec.sheet_radius_mm).roller_deg(self.spec) - self._roller_deg
-
-    @property
-    def is_active(self) -> bool:
-        morphs = self._now_s - self._morphed_s < STILL_AFTER_S
-        return bool(self._servo_mm or self.vibration) or morphs
-
-    @property
-    def is_closing(self) -> bool:
-        return self._now_s - self._closed_s < STILL_AFTER_S
-
-    def advance(self, end_s: float, dt_s: float) -> float:
-        """See where the valve and the roller are; the mean real opening [mm] since the last look."""
-        self._now_s = end_s
-        self.vibration = self._board.vibration
-        opening_mm = self._board.opening_mm if self._board.opening_mm > SHUT_MM else 0.0
-        self._turn_to(opening_mm, end_s)
-        self._servo_mm = opening_mm
-        before_mm, self._real_mm = self._real_mm, self._gap_mm()
-        diameter_mm = Cone.from_roller(self._at_zero_deg + self._roller_deg, self.spec).diameter_mm
-        if abs(diameter_mm - self.cone_diameter_mm) > 0.001:
-            self._morphed_s = end_s
-            if diameter_mm < self.cone_diameter_mm:
-                self._closed_s = end_s
-            self.cone_diameter_mm = diameter_mm
-        return (before_mm + self._real_mm) / 2.0
-
-
-class WireWorld(World):
-    """The world that goes on in a thread of its own, while hands act on it from another.
-
-    It lives in a file, if it is told to, with the twins that meet it: of a process that ends, however it does, another
-    takes up devices and powder as if time had stood still.
-    """
-
-    def __init__(
-        self,
-        spec: CellSpec,
-        sources: Mapping[str, Source],
-        plant: Plant,
-        seed: int,
-        arm: WireArm,
-        hand: WireHand,
-        balance: SimulatedBalance,
-        faults: Faults | None = None,
-    ) -> None:
-        self._lock = threading.RLock()
-        self._saved_mg: dict[Compartment, float] = {}
-        self._saved_s = 0.0
-        super().__init__(spec, sources, plant, seed, arm, hand, balance, faults)
-
-    @property
-    def masses_mg(self) -> dict[str, float]:
-        with self._lock:
-            return super().masses_mg
-
-    def lives_with(self, twins: Sequence[Stateful]) -> None:
-        """Keep the state of these, too."""
-        self._memory.add(twins)
-
-    def save_changes(self) -> None:
-        """Save it, if powder has moved since, or it was not saved for a while."""
-        with self._lock:
-            if self.ledger.masses_mg != self._saved_mg or self.now_s - self._saved_s >= UNSAVED_S:
-                self.save()
-
-    def save(self) -> None:
-        with self._lock:
-            super().save()
-            self._saved_mg, self._saved_s = dict(self.ledger.masses_mg), self.now_s
-
-    def _sit_out(self) -> None:
-        """Nothing happens to twins between two of their processes."""
-
-    def step(self, now_s: float, limit_s: float) -> float:
-        with self._lock:
-            return super().step(now_s, limit_s)
-
-    def begin_sample(self, sample: str, attempt: int) -> None:
-        with self._lock:
-            super().begin_sample(sample, attempt)
-
-    def place(self, container: Container) -> None:
-        with self._lock:
-            super().place(container)
-            self.save()
-
-    def remove(self) -> None:
-        with self._lock:
-            super().remove()
-            self.save()
-
-    def swing(self, until_s: float, container: Container | None) -> None:
-        with self._lock:
-            super().swing(until_s, container)
-
-    def load_cone(self, source: str, mass_mg: float) -> None:
-        with self._lock:
-            super().load_cone(source, mass_mg)
-            self.save()
-
-    def refill(self, source: str, mass_mg: float) -> None:
-        with self._lock:
-            super().refill(source, mass_mg)
-            self.save()
-
-    def swap_sheet(self) -> None:
-        with self._lock:
-            super().swap_sheet()
-            self.save()
 
 
 class BenchScene:

@@ -1,6 +1,6 @@
 """The twin of the carousel: one servo on a line of its own, and the wheel that its shaft carries."""
 
-from scuhand_bt.cell_spec import CarouselOptions
+from scuhand_bt.device_specs.changer import CarouselOptions
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
 from scuhand_bt.sim.wire.scene import Scene
 from scuhand_bt.sim.wire.servo import Servo

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from scuhand_bt.cell_spec import HandOptions, ValvePoint
+from scuhand_bt.device_specs.hand import HandOptions, ValvePoint
 from scuhand_bt.devices.interfaces import TWIN
 from scuhand_bt.sim.wire.dynamixel import BITS_PER_BYTE, DynamixelTwin
 from scuhand_bt.sim.wire.servo import XC330, Servo

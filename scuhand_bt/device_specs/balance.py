@@ -1,0 +1,74 @@
+"""The balance, how it answers, and what a run asks of it."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from scuhand_bt.drivers import driver_name
+from scuhand_bt.quantity import Milligrams, Seconds
+from scuhand_bt.specs import NotNegative, Positive, Spec
+
+
+class BalanceResponseSpec(Spec):
+    """How the simulated balance answers (`scuhand_bt.sim.response`); no controller reads it."""
+
+    lag_s: Annotated[Seconds, Field(gt=0)] = 0.3
+    """Time constant of each of its filter's two poles."""
+    noise_mg: Annotated[Milligrams, NotNegative] = 0.08
+    """Standard deviation of a reading on a quiet pan."""
+    vibration_noise_mg: Annotated[Milligrams, NotNegative] = 0.4
+    """Standard deviation that the hand's motor adds at full level."""
+    drift_mg: Annotated[Milligrams, NotNegative] = 0.1
+    """Random walk of the zero: standard deviation after a minute."""
+
+
+class BalanceOptions(Spec):
+    """Where the balance's own menu is not as it left the factory."""
+
+    baud: Annotated[int, Positive] | None = None
+    bits: Annotated[str, Field(pattern=r"^[78][NEO][12]$")] | None = None
+    """Data bits, parity, stop bits: "7E1"."""
+    unit: Literal["g", "mg", "kg", "ct"] | None = None
+    """Of a balance that leaves it out while it is not stable."""
+
+
+class BalanceLimits(Spec):
+    """What a run on the real cell asks of its balance (docs/weighing.md); `check` notes what is beyond."""
+
+    check_weight_every_s: Annotated[Seconds, Field(gt=0)] | None = None
+    """Within this time before a run it must have weighed a check weight right."""
+    minimum_weight_mg: Annotated[Milligrams, NotNegative] = 0.0
+    """The least mass to be dosed."""
+    usp_41: bool | None = None
+    """That, and at least 2000 times the repeatability (USP 41); unset, a mass below it is warned of, not refused."""
+    when_beyond: Literal["refuse", "warn"] = "refuse"
+
+
+class BalanceSpec(Spec):
+    """The balance under the hand."""
+
+    driver: Annotated[str, driver_name("balance")] = "shimadzu"
+    port: str = ""
+    options: BalanceOptions = BalanceOptions()
+    readability_mg: Annotated[Milligrams, Positive] = 0.1
+    maximum_mg: Annotated[Milligrams, Positive] = 120_000.0
+    period_s: Annotated[Seconds, Field(gt=0, le=2)] = 0.1
+    limits: BalanceLimits = BalanceLimits()
+    weighed_twice: Literal["first", "every"] = "first"
+    """Which containers come and go twice, about the bare pan, as the first of each run does (docs/weighing.md)."""
+    simulation: BalanceResponseSpec = BalanceResponseSpec()
+
+    @property
+    def least_tolerance_mg(self) -> float:
+        """Two digits: a stable mean is known to about half of one, and acceptance keeps twice that inside."""
+        return 2.0 * self.readability_mg
+
+    @property
+    def confirmed_tolerance_mg(self) -> float:
+        """Five digits: of doses within less, nine in ten are not always told so (docs/weighing.md has the figures)."""
+        return 5.0 * self.readability_mg
+
+    @property
+    def lost_after_s(self) -> float:
+        """Without a word for this long, the balance is taken for lost."""
+        return max(3.0, 10.0 * self.period_s)

@@ -1,0 +1,63 @@
+"""All that skills write, beside a lab's own notes."""
+
+from scuhand_bt.events.cell import (
+    ArmFreed,
+    Discarded,
+    Kept,
+    Refilled,
+    Returned,
+    Scooped,
+    SheetSwapped,
+    ValveChecked,
+    WayObstructed,
+)
+from scuhand_bt.events.doses import Dose, DoseCurve, Pulsed, ValueRecorded
+from scuhand_bt.events.entry import SkillEvent
+from scuhand_bt.events.weighings import (
+    BalanceDoubted,
+    BalanceSlower,
+    BalanceWatched,
+    BracketClosed,
+    ContainerAgain,
+    ContainerDiscarded,
+    ContainerLifted,
+    ContainerPlaced,
+    DoseBegun,
+    DoseWeighed,
+    RepeatabilityMeasured,
+    Reweighed,
+    Tared,
+    Weighed,
+    WeightChecked,
+)
+
+SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
+    ContainerPlaced,
+    Tared,
+    Pulsed,
+    Dose,
+    DoseCurve,
+    DoseBegun,
+    DoseWeighed,
+    Weighed,
+    ContainerDiscarded,
+    ContainerLifted,
+    ContainerAgain,
+    BracketClosed,
+    Reweighed,
+    WeightChecked,
+    RepeatabilityMeasured,
+    BalanceWatched,
+    BalanceSlower,
+    BalanceDoubted,
+    ArmFreed,
+    WayObstructed,
+    Scooped,
+    Returned,
+    Kept,
+    Discarded,
+    SheetSwapped,
+    Refilled,
+    ValveChecked,
+    ValueRecorded,
+)
