@@ -116,7 +116,8 @@ def make_batch(recipe: Path, folder: Path, seed: int, motion: MotionPlanner | No
     if motion is None:
         motion = prepared_motion(plan, lab)
         with tempfile.TemporaryDirectory() as apart:
-            with closing(Session(plan, lab, Options(DryRun(seed), folder=Path(apart)), motion)) as session:
+            session = Session(plan, lab, Options(DryRun(seed), folder=Path(apart)), motion)
+            with closing(session):
                 session.run(BatchObserver())
     return Batch(plan, lab, motion, folder, seed)
 
