@@ -14,9 +14,10 @@ from typing import Any
 from scuhand_bt.api import interrupted, past
 from scuhand_bt.cell import weighing
 from scuhand_bt.cli import run as cli_run
-from scuhand_bt.cli.shared import the_lab
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal import store
+from scuhand_bt.lab import find_lab, load_lab
+from scuhand_bt.problems import SourceError
 from scuhand_bt.record import Record, RecordLost
 from scuhand_bt.report import proof
 from scuhand_bt.run import batch, outcome, sample_results, session
@@ -41,7 +42,7 @@ class Bug:
 
     def at(self, seed: int) -> tuple[str, ...]:
         """The script of this seed."""
-        return tuple(step.format(ticks=160 + 10 * seed, later=300 + 15 * seed) for step in self.script)
+        return tuple(step.format(ticks=300 + 8 * seed, later=600 + 20 * seed) for step in self.script)
 
 
 def _reads_before_locking() -> None:
@@ -89,7 +90,7 @@ def _believes_what_arrived() -> None:
     def anything(*given: Any) -> tuple[float, float]:
         return -1e9, 1e9
 
-    sample_results.confirmed = sample_results.doubted = lambda result, told: result  # type: ignore[assignment]
+    sample_results.confirmed = sample_results.doubted = lambda result, *told: result  # type: ignore[assignment]
     sample_results.SampleResults.note_open_brackets = lambda one: None  # type: ignore[method-assign]
     session.settle_outage = settles  # type: ignore[assignment]
     weighing.possible_mg = anything
@@ -150,7 +151,8 @@ def _needs_the_lab() -> None:
     find = past.find_state
 
     def find_state(lab: Path | None = None) -> Path:
-        the_lab(lab)
+        if problems := load_lab(find_lab(chosen=lab)).problems:
+            raise SourceError(problems)
         return find(lab)
 
     past.find_state = find_state
