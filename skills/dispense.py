@@ -352,7 +352,7 @@ class Dispense(Skill[Dose]):
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:
         reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
         if run.finish.reason in ("empty", "no_flow"):
-            raise self._gave_out(cell, reached, -dose.error_mg)
+            raise self._gave_out(cell, reached, dose)
         if dose.error_mg > self.tolerance_mg:
             raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
         if run.finish.reason == "rest":
@@ -361,13 +361,16 @@ class Dispense(Skill[Dose]):
         if run.finish.reason == "step_limit":
             raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.pulses} pulses")
 
-    def _gave_out(self, cell: Cell, reached: str, lacked_mg: float) -> SkillFailed:
+    def _gave_out(self, cell: Cell, reached: str, dose: Dose) -> SkillFailed:
         """Why no powder comes: an empty cone, a bridge or a poor scoop, or a source that gives nothing.
 
         A valve that does not follow is not among them: the hand has told that, with hand.valve_stuck.
         """
         believed, source = cell.believed, self._source(cell)
         came_mg, held_mg = believed.load.came_mg, believed.cone_mg
+        # A small dose of which nothing has come lacks all of it, and not its last milligrams.
+        has_begun = dose.dispensed_mg > self.tolerance_mg or not believed.load.is_barren
+        lacked_mg = -dose.error_mg if has_begun else math.inf
         believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow", lacked_mg=lacked_mg)
         if source.name in believed.barren_sources:
             barren = f"{BARREN_LOADS} loads in a row from '{source.name}' have brought nothing"
