@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from scuhand_bt.cell.believed import LAST_LOADS
 from scuhand_bt.cell.believed_powder import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
@@ -375,6 +376,9 @@ class Dispense(Skill[Dose]):
         if source.name in believed.barren_sources:
             barren = f"{BARREN_LOADS} loads in a row from '{source.name}' have brought nothing"
             return SkillFailed(Code.SCOOP_NOTHING, f"{barren}, open and shaken; it is not scooped from any more")
+        if believed.dosing.in_vain >= LAST_LOADS:
+            what = f"{LAST_LOADS} loads in a row, open and shaken, have given nothing of the last {lacked_mg:.1f} mg"
+            return SkillFailed(Code.DOSE_NOT_REACHED, f"{reached}: {what}")
         if not believed.is_load_doubted:
             return SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
         came = f"of its load {came_mg:.0f} mg have come, and it should hold {held_mg:.0f} mg more"

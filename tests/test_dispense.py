@@ -377,6 +377,21 @@ def test_loads_that_do_not_give_what_little_a_dose_lacks_are_not_told_as_nothing
     assert rig.cell.believed.yields == {}
 
 
+def test_loads_that_go_on_giving_nothing_of_what_little_a_dose_lacks_end_it_and_tell_nothing_of_its_source(
+    rig: Rig,
+) -> None:
+    codes = []
+    for brings_mg in (40.0, 0.0, 2.0, 0.0, 0.0, 0.0):
+        rig.cell.believed.emptied()
+        rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
+        with pytest.raises(SkillFailed) as failed:
+            rig.dispense(brings_mg, reason="no_flow")
+        codes.append(failed.value.code)
+    assert codes == [*["hand.no_flow"] * 5, "dose.not_reached"]
+    assert str(failed.value).endswith("4 loads in a row, open and shaken, have given nothing of the last 8.0 mg")
+    assert rig.cell.believed.barren_sources == set()
+
+
 def test_a_cone_that_ran_empty_holds_nothing_and_what_it_was_thought_to_hold_is_in_the_mortar(rig: Rig) -> None:
     rig.cell.believed.cone_holds(rig.cell.sources["store"], 700.0)
     with pytest.raises(SkillFailed, match=r"hand\.cone_empty"):
