@@ -173,6 +173,13 @@ class Powder(Spec):
     """What controllers start from before anything is learnt."""
     simulation: PowderFlowSpec = PowderFlowSpec()
 
+    @model_validator(mode="after")
+    def _lets_powder_through(self) -> Self:
+        if self.max_opening_mm <= self.belief.threshold_mm:
+            widest, least = f"{self.max_opening_mm:g} mm", f"{self.belief.threshold_mm:g} mm"
+            raise ValueError(f"'max_opening' is {widest}, and nothing comes up to the belief's 'threshold', {least}")
+        return self
+
     def widest_mm(self, controller: str) -> float:
         """The largest opening that a controller of this name may use."""
         return self.paper.max_opening_mm if controller == "paper" else self.max_opening_mm
