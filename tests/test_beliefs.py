@@ -222,6 +222,10 @@ def test_what_scoops_bring_is_shown_with_its_date_and_forgotten_with_its_lot(
     forgotten = command("powders", "forget", "glass_beads", "--lab", lab_folder.folder).stdout
     assert forgotten == "Forgotten: glass_beads/L7.\n"
     assert shown() == ""
+    state.keep(replace(cell, believed=believed, powder_beliefs={}), "dry-1")
+    assert "SIMULATED" in shown()
+    told = command("powders", "forget", "glass_beads/L7", "--lab", lab_folder.folder).stdout
+    assert told == "Nothing was learnt of 'glass_beads/L7' on real devices.\n"
     assert state.yields(simulated=False) == {}
 
 

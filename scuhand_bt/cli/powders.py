@@ -67,7 +67,8 @@ def forget(
     state = lab_state(loaded)
     with take_cell(OpenLab(loaded).state):  # a run that goes on would believe it still, and write it anew
         lots = state.forget_powders(name)
-    if not lots and name not in {*loaded.library.powders, *state.powders(simulated=True)}:
+    simulated = {*state.powders(simulated=True), *(lot for lot, _ in state.yields(simulated=True))}
+    if not lots and name not in {*loaded.library.powders, *simulated}:
         raise unknown("powder lot", name, [*loaded.library.powders, *state.powders(simulated=False)])
     out.print(Text(f"Forgotten: {', '.join(lots)}." if lots else f"Nothing was learnt of '{name}' on real devices."))
 
