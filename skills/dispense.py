@@ -381,5 +381,5 @@ class Dispense(Skill[Dose]):
             return SkillFailed(Code.DOSE_NOT_REACHED, f"{reached}: {what}")
         if not believed.is_load_doubted:
             return SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
-        came = f"of its load {came_mg:.0f} mg have come, and it should hold {held_mg:.0f} mg more"
+        came = f"of its load {max(came_mg, 0.0):.0f} mg have come, and it should hold {held_mg:.0f} mg more"
         return SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, open and shaken: {came}")

@@ -368,6 +368,12 @@ def test_two_loads_that_brought_nothing_are_told_as_such(rig: Rig) -> None:
             rig.dispense(0.0, reason="no_flow")
 
 
+def test_a_zero_that_has_sunk_is_no_powder_that_went_back(rig: Rig) -> None:
+    rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
+    with pytest.raises(SkillFailed, match=r"of its load 0 mg have come"):
+        rig.dispense(-0.3, reason="no_flow")
+
+
 def test_loads_that_do_not_give_what_little_a_dose_lacks_are_not_told_as_nothing(rig: Rig) -> None:
     for brings_mg in (45.0, 0.0, 0.0):
         rig.cell.believed.emptied()
