@@ -258,8 +258,8 @@ CATALOGUE: Mapping[str, Failure] = {
         ("run",),
     ),
     Code.DOSE_NOT_REACHED: Failure(
-        "The dose stopped below its tolerance: the step limit was reached.",
-        "Look at the powder's flow; raise the step limit or choose another controller.",
+        "The dose stopped outside its tolerance: no dose takes more openings, longer, or more loads in vain.",
+        "See that the mortar holds powder, and none bridges; controller `adaptive` gives up in time for another scoop.",
     ),
     Code.DOSE_TOO_SMALL: Failure(
         "The target or its tolerance is below what the balance can tell.",

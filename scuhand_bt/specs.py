@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Annotated, Literal, Self
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -104,6 +105,17 @@ class PowderBelief(Spec):
     """How many doses it was learnt from."""
 
 
+BALANCE_SHAPES = ("ringing", "lively", "two poles", "one pole", "mean", "late", "delay")
+"""Kinds of filters; `scuhand_bt.dosing.identification.SHAPES` has the figures."""
+
+
+def _known_shape(shape: str) -> str:
+    """What another version of this program has learnt may be of another kind."""
+    if shape not in BALANCE_SHAPES:
+        raise ValueError(f"no kind of balance is called '{shape}'; there are {', '.join(BALANCE_SHAPES)}")
+    return shape
+
+
 class BalanceBelief(Spec):
     """What controllers believe of a balance: pessimistic until a container's step or a good opening has shown it."""
 
@@ -111,8 +123,8 @@ class BalanceBelief(Spec):
     """Half the time that the reading of a steadily growing mass is behind it."""
     doubt: Annotated[Ratio, Field(ge=0)] = 1.0
     """Standard deviation of that time's logarithm."""
-    shape: str = "two poles"
-    """The kind of filter that delays it so: one of `scuhand_bt.dosing.estimation.SHAPES`."""
+    shape: Annotated[str, AfterValidator(_known_shape)] = "two poles"
+    """The kind of filter that delays it so, of `BALANCE_SHAPES`."""
     adapts: bool = False
     """Its filter takes its time while little changes, and hurries while much does: an opening shows one of the two."""
     misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.02
@@ -172,6 +184,13 @@ class Powder(Spec):
     belief: PowderBelief = PowderBelief()
     """What controllers start from before anything is learnt."""
     simulation: PowderFlowSpec = PowderFlowSpec()
+
+    @model_validator(mode="after")
+    def _lets_powder_through(self) -> Self:
+        if self.max_opening_mm <= self.belief.threshold_mm:
+            widest, least = f"{self.max_opening_mm:g} mm", f"{self.belief.threshold_mm:g} mm"
+            raise ValueError(f"'max_opening' is {widest}, and nothing comes up to the belief's 'threshold', {least}")
+        return self
 
     def widest_mm(self, controller: str) -> float:
         """The largest opening that a controller of this name may use."""

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from scuhand_bt.cell.believed import LAST_LOADS
 from scuhand_bt.cell.believed_powder import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
@@ -352,7 +353,7 @@ class Dispense(Skill[Dose]):
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:
         reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
         if run.finish.reason in ("empty", "no_flow"):
-            raise self._gave_out(cell, reached, -dose.error_mg)
+            raise self._gave_out(cell, reached, dose)
         if dose.error_mg > self.tolerance_mg:
             raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
         if run.finish.reason == "rest":
@@ -361,18 +362,24 @@ class Dispense(Skill[Dose]):
         if run.finish.reason == "step_limit":
             raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.pulses} pulses")
 
-    def _gave_out(self, cell: Cell, reached: str, lacked_mg: float) -> SkillFailed:
+    def _gave_out(self, cell: Cell, reached: str, dose: Dose) -> SkillFailed:
         """Why no powder comes: an empty cone, a bridge or a poor scoop, or a source that gives nothing.
 
         A valve that does not follow is not among them: the hand has told that, with hand.valve_stuck.
         """
         believed, source = cell.believed, self._source(cell)
         came_mg, held_mg = believed.load.came_mg, believed.cone_mg
+        # A small dose of which nothing has come lacks all of it, and not its last milligrams.
+        has_begun = dose.dispensed_mg > self.tolerance_mg or not believed.load.is_barren
+        lacked_mg = -dose.error_mg if has_begun else math.inf
         believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow", lacked_mg=lacked_mg)
         if source.name in believed.barren_sources:
             barren = f"{BARREN_LOADS} loads in a row from '{source.name}' have brought nothing"
             return SkillFailed(Code.SCOOP_NOTHING, f"{barren}, open and shaken; it is not scooped from any more")
+        if believed.dosing.in_vain >= LAST_LOADS:
+            what = f"{LAST_LOADS} loads in a row, open and shaken, have given nothing of the last {lacked_mg:.1f} mg"
+            return SkillFailed(Code.DOSE_NOT_REACHED, f"{reached}: {what}")
         if not believed.is_load_doubted:
             return SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
-        came = f"of its load {came_mg:.0f} mg have come, and it should hold {held_mg:.0f} mg more"
+        came = f"of its load {max(came_mg, 0.0):.0f} mg have come, and it should hold {held_mg:.0f} mg more"
         return SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, open and shaken: {came}")

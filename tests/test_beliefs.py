@@ -11,9 +11,10 @@ from conftest import Call, LabFolder
 from running import dry_run
 
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.dosing.identification import SHAPES
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.run.cell_state import state_of, take_up
-from scuhand_bt.specs import BalanceBelief, PowderBelief, Source
+from scuhand_bt.specs import BALANCE_SHAPES, BalanceBelief, PowderBelief, Source
 
 NOW = datetime.now().astimezone()
 
@@ -156,6 +157,19 @@ def test_what_another_version_has_learnt_is_told_of_and_learnt_anew(tmp_path: Pa
     assert state.unreadable() == ["glass_beads/L7"]
 
 
+def test_a_balance_of_a_kind_that_this_version_does_not_know_is_learnt_anew(tmp_path: Path) -> None:
+    """It was believed, and ended a dose with a bug."""
+    assert tuple(SHAPES) == BALANCE_SHAPES
+    state = LabState(tmp_path)
+    cell = dry_run(tmp_path, CHARACTERISE, controller="adaptive").session.cell
+    state.keep(replace(cell, simulated=False), "real")
+    with closing(sqlite3.connect(tmp_path / "lab.db")) as database, database:
+        database.execute("UPDATE learnt SET belief = json_set(belief, '$.shape', 'four poles') WHERE kind = 'balance'")
+    assert state.unreadable() == [cell.balance_name]
+    state.recall(cell, NOW)
+    assert cell.balance_belief == BalanceBelief()
+
+
 def test_a_run_of_another_version_is_resumed_with_what_can_be_read_of_its_beliefs(tmp_path: Path) -> None:
     cell = dry_run(tmp_path, CHARACTERISE, controller="adaptive").session.cell
     state = state_of(cell)
@@ -222,6 +236,10 @@ def test_what_scoops_bring_is_shown_with_its_date_and_forgotten_with_its_lot(
     forgotten = command("powders", "forget", "glass_beads", "--lab", lab_folder.folder).stdout
     assert forgotten == "Forgotten: glass_beads/L7.\n"
     assert shown() == ""
+    state.keep(replace(cell, believed=believed, powder_beliefs={}), "dry-1")
+    assert "SIMULATED" in shown()
+    told = command("powders", "forget", "glass_beads/L7", "--lab", lab_folder.folder).stdout
+    assert told == "Nothing was learnt of 'glass_beads/L7' on real devices.\n"
     assert state.yields(simulated=False) == {}
 
 

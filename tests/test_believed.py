@@ -226,6 +226,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "vibration_s": 1.5,
             "target_mg": 50.0,
             "is_unweighed": True,
+            "in_vain": 0,
         },
         "bracket": {
             "container": DISH.id,

@@ -368,6 +368,12 @@ def test_two_loads_that_brought_nothing_are_told_as_such(rig: Rig) -> None:
             rig.dispense(0.0, reason="no_flow")
 
 
+def test_a_zero_that_has_sunk_is_no_powder_that_went_back(rig: Rig) -> None:
+    rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
+    with pytest.raises(SkillFailed, match=r"of its load 0 mg have come"):
+        rig.dispense(-0.3, reason="no_flow")
+
+
 def test_loads_that_do_not_give_what_little_a_dose_lacks_are_not_told_as_nothing(rig: Rig) -> None:
     for brings_mg in (45.0, 0.0, 0.0):
         rig.cell.believed.emptied()
@@ -375,6 +381,21 @@ def test_loads_that_do_not_give_what_little_a_dose_lacks_are_not_told_as_nothing
         with pytest.raises(SkillFailed, match=r"hand\.no_flow"):
             rig.dispense(brings_mg, reason="no_flow")
     assert rig.cell.believed.yields == {}
+
+
+def test_loads_that_go_on_giving_nothing_of_what_little_a_dose_lacks_end_it_and_tell_nothing_of_its_source(
+    rig: Rig,
+) -> None:
+    codes = []
+    for brings_mg in (40.0, 0.0, 2.0, 0.0, 0.0, 0.0):
+        rig.cell.believed.emptied()
+        rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
+        with pytest.raises(SkillFailed) as failed:
+            rig.dispense(brings_mg, reason="no_flow")
+        codes.append(failed.value.code)
+    assert codes == [*["hand.no_flow"] * 5, "dose.not_reached"]
+    assert str(failed.value).endswith("4 loads in a row, open and shaken, have given nothing of the last 8.0 mg")
+    assert rig.cell.believed.barren_sources == set()
 
 
 def test_a_cone_that_ran_empty_holds_nothing_and_what_it_was_thought_to_hold_is_in_the_mortar(rig: Rig) -> None:

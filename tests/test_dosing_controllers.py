@@ -316,3 +316,11 @@ def test_a_small_dose_of_a_powder_that_bridges_is_not_shaken_into_its_container(
     dosed = Bench(POWDERS["monosodium_glutamate"], 18.0, seed).dose("adaptive", balance=STEPPED)
     assert not any(point.vibration for point in dosed.run.curve)
     assert abs(dosed.true_error_mg) <= 2.0
+
+
+def test_an_opening_is_no_wider_than_the_powders_limit_though_nothing_comes_of_it() -> None:
+    """What is tried next where little came is 1.4 times as wide: 0.29 mm, for a powder that may be opened to 0.2."""
+    simulated = BEADS.simulation.model_copy(update={"dead_diameter_mm": 0.15})
+    limited = BEADS.model_copy(update={"max_opening_mm": 0.2, "simulation": simulated})
+    dosed = Bench(limited, 20.0).dose("adaptive", balance=STEPPED)
+    assert max(point.opening_mm for point in dosed.run.curve) <= 0.2

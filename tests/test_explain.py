@@ -38,6 +38,20 @@ def test_a_code_is_explained_with_what_to_do_and_who_raises_it(explain: Call) ->
     assert "  stop         stop the batch  (the default)" in said
 
 
+@pytest.mark.parametrize("code", ["dose.overshoots", "hand.leak", "balance.bracket_open"])
+def test_what_no_policy_meets_is_not_said_to_be_for_a_policy(explain: Call, code: str) -> None:
+    """`check` warns of it in an `on_failure`."""
+    said = explain(code)[1].splitlines()
+    assert said[-1] == "No `on_failure` is asked: it ends the run, or is told of a sample whose job is over."
+    assert not any("the default" in line for line in said)
+
+
+def test_a_dose_that_was_not_reached_asks_for_nothing_that_a_lab_cannot_set(explain: Call) -> None:
+    said = explain("dose.not_reached")[1]
+    assert "limit" not in said
+    assert "controller `adaptive`" in said
+
+
 def test_what_devices_raise_is_said_to_come_from_any_skill(explain: Call) -> None:
     said = explain("balance.unstable")[1]
     assert "Raised by: the skill watch_balance; scuhand_bt/devices, within any skill" in said

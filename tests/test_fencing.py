@@ -113,6 +113,18 @@ def test_what_a_run_has_in_the_cell_is_not_corrected_beside_it(command: Call, la
     assert command("inventory", "set", "cone", "0 mg", "--lab", folder).returncode == 0
 
 
+@pytest.mark.parametrize("words", [("powders", "forget", "glass_beads"), ("balance", "forget")])
+def test_what_a_run_believes_is_not_forgotten_beside_it(
+    command: Call, lab_folder: LabFolder, words: tuple[str, ...]
+) -> None:
+    """It would go on with it, and write it again as it ends."""
+    running = take_cell(lab_folder.folder / ".scuhand")
+    refused = command(*words, "--lab", lab_folder.folder)
+    assert (refused.returncode, "is in use" in refused.stderr, "Forgotten" in refused.stdout) == (2, True, False)
+    running.end()
+    assert command(*words, "--lab", lab_folder.folder).returncode == 0
+
+
 def test_two_runs_do_not_have_one_cell(command: Call, lab_folder: LabFolder) -> None:
     lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
     recipe = lab_folder.write("recipes/one.yaml", "recipe: one\nworkflow: park_only\nsamples: [{id: a}]\n")

@@ -125,6 +125,15 @@ def test_a_source_that_gives_nothing_costs_two_scoops_and_its_other_samples_are_
     assert ran.result.exit_code == 1
 
 
+def test_small_doses_of_which_nothing_comes_cost_two_scoops_as_large_ones_do(tmp_path: Path) -> None:
+    samples = "samples: [{id: a, source: beads, mass: 20 mg}, {id: b, source: beads, mass: 25 mg}]"
+    recipe = f"recipe: r\nworkflow: fill_xrd_holder\ndefaults: {{container: xrd_holder}}\n{samples}\n"
+    ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller="adaptive")
+    told_so = ran.sample("a").code or "", ran.sample("a").detail or ""
+    assert ": ".join(told_so).startswith("scoop.nothing: 2 loads in a row from 'beads' have brought nothing")
+    assert len(told(ran, "scoop")) == 2
+
+
 @pytest.mark.parametrize("controller", ["paper", "direct_pid"])
 def test_every_controller_gives_up_on_a_source_that_gives_nothing(tmp_path: Path, controller: str) -> None:
     recipe = RECIPE.replace("POLICY", "stop")

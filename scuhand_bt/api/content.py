@@ -10,6 +10,7 @@ from scuhand_bt.problems import Problems
 from scuhand_bt.quantity import Unit
 from scuhand_bt.recipe.recipe import ACTIONS, DEFAULT_ON_FAILURE
 from scuhand_bt.skill import Skill
+from scuhand_bt.skill_files.facts import OF_RUNS
 from scuhand_bt.tree.btxml import from_xml, to_xml
 from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.drawing import drawn
@@ -50,7 +51,8 @@ class Explained:
     retried_by: list[str]
     """Workflows."""
     on_failure: str
-    """What a recipe does about it that says nothing."""
+    """What a recipe does about it that says nothing; empty where none is asked: it ends a run, or is told of a sample
+    when its job is over."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def explained(library: Library | None = None) -> dict[str, Explained]:
             raised_by=[name for name, made in library.skills.items() if code in made.raises],
             raised_in=[f"scuhand_bt/{room}" for room in failure.raised_in],
             retried_by=[workflow for workflow, codes in retried.items() if code in codes],
-            on_failure=DEFAULT_ON_FAILURE.get(code, DEFAULT_ON_FAILURE["otherwise"]),
+            on_failure="" if code in OF_RUNS else DEFAULT_ON_FAILURE.get(code, DEFAULT_ON_FAILURE["otherwise"]),
         )
         for code, failure in sorted(library.failures().items())
     }

@@ -11,16 +11,23 @@ invariants, whatever happens in whatever order:
 A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from scuhand_bt.cell.believed_powder import BelievedPowder, Counts, count, mass
+from scuhand_bt.cell.load import BARREN_MG
 from scuhand_bt.cell.pan_bracket import Bracket, ClosedBracket
 from scuhand_bt.device_specs.changer import ChangerSpec
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.dosing.strokes import Layer
 from scuhand_bt.specs import Container, Source
+
+COMES_MG = 1.0
+"""Less of a load that has come is nothing: a zero may have walked as far."""
+LAST_LOADS = 4
+"""So many loads in a row that gave a dose's last milligrams in vain: others would not give them either."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,8 @@ class DoseSoFar:
     """What is being dispensed towards now; None while nothing may flow into the container."""
     is_unweighed: bool = False
     """A dose broke off: what had left the cone then was not weighed by a stable mean yet."""
+    in_vain: int = 0
+    """Loads in a row that gave out with its last milligrams missing, since powder came."""
 
 
 @dataclass(frozen=True)
@@ -194,6 +203,11 @@ class Believed(BelievedPowder):
         super().scooped(source, mass_mg, layer)
         self._set(dosing=replace(self.dosing, scoops=self.dosing.scoops + 1))
 
+    def gave_out(self, *, is_short: bool, lacked_mg: float = math.inf) -> None:
+        """As of any powder, and counted for the dose where that lacked next to nothing."""
+        super().gave_out(is_short=is_short, lacked_mg=lacked_mg)
+        self._set(dosing=replace(self.dosing, in_vain=self.dosing.in_vain + 1 if lacked_mg < BARREN_MG else 0))
+
     def dose_began(self, now_s: float) -> None:
         """What is counted for a dose begins anew."""
         self._set(dosing=DoseSoFar(began_s=now_s))
@@ -229,7 +243,8 @@ class Believed(BelievedPowder):
         """The valve is shut; by the last reading so much has arrived. A stable mean is still to come."""
         self._left_cone(arrived_mg)
         self._weighed(gross_mg)
-        self._set(dosing=replace(self.dosing, target_mg=None))
+        in_vain = self.dosing.in_vain if arrived_mg < COMES_MG else 0
+        self._set(dosing=replace(self.dosing, target_mg=None, in_vain=in_vain))
 
     def dosed(self, gained: Net, drift: Drift, now: Gross, pulses: int, vibration_s: float) -> None:
         """The container has gained so much by a dose that took this many pulses, and vibration; it weighs so much."""

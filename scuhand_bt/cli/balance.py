@@ -64,5 +64,10 @@ def balance(
 @group.command("forget")
 def forget(context: typer.Context, lab: LabOption = None) -> None:
     """Forget what was measured of the balance, and learnt of it by doses: it was repaired, moved or set otherwise."""
-    names = lab_state(the_lab(lab or context.obj)).forget_balances()
+    from scuhand_bt.api import OpenLab
+    from scuhand_bt.api.books import take_cell
+
+    loaded = the_lab(lab or context.obj)
+    with take_cell(OpenLab(loaded).state):  # a run that goes on would believe it still, and write it anew
+        names = lab_state(loaded).forget_balances()
     out.print(Text(f"Forgotten: {'; '.join(names)}." if names else "Nothing was known."))

@@ -54,6 +54,9 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
             out.print(f"Defined by this lab's skill {', '.join(failure.defined_by)}.")
         if failure.retried_by:
             out.print(f"Tried again by the workflows: {', '.join(failure.retried_by)}.")
+        if not failure.on_failure:
+            out.print("No `on_failure` is asked: it ends the run, or is told of a sample whose job is over.")
+            return
         out.print(f"In a recipe's `on_failure: {{{code}: …}}`, for the sample that failed so:")
         for action, meaning in ACTIONS.items():
             out.print(f"  {action:12} {meaning}{'  (the default)' if action == failure.on_failure else ''}")

@@ -60,10 +60,15 @@ def forget(
     lab: LabOption = None,
 ) -> None:
     """Forget what real doses have taught of a powder lot: it was dried, sieved, or is another than it is called."""
+    from scuhand_bt.api import OpenLab
+    from scuhand_bt.api.books import take_cell
+
     loaded = the_lab(lab or context.obj)
     state = lab_state(loaded)
-    lots = state.forget_powders(name)
-    if not lots and name not in {*loaded.library.powders, *state.powders(simulated=True)}:
+    with take_cell(OpenLab(loaded).state):  # a run that goes on would believe it still, and write it anew
+        lots = state.forget_powders(name)
+    simulated = {*state.powders(simulated=True), *(lot for lot, _ in state.yields(simulated=True))}
+    if not lots and name not in {*loaded.library.powders, *simulated}:
         raise unknown("powder lot", name, [*loaded.library.powders, *state.powders(simulated=False)])
     out.print(Text(f"Forgotten: {', '.join(lots)}." if lots else f"Nothing was learnt of '{name}' on real devices."))
 

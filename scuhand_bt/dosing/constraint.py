@@ -116,4 +116,5 @@ def widest_mm(
     chances = erfc(room, out=room)
     chances *= 0.5
     allowed = np.flatnonzero(chances @ bank.weights <= RISK)
-    return shape.threshold_mm + float(choices.gaps_mm[allowed[-1] if len(allowed) else 0])
+    opening_mm = shape.threshold_mm + float(choices.gaps_mm[allowed[-1] if len(allowed) else 0])
+    return min(opening_mm, max_opening_mm)  # which the narrowest may be beyond
