@@ -11,7 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.cell.believed import Believed
-from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, Layer, chosen, expected_mg, layer_left, most_mg, require_level
+from scuhand_bt.dosing.strokes import (
+    GRAINS_CLEAR,
+    LITTLE_SHARE,
+    Bed,
+    Layer,
+    chosen,
+    expected_mg,
+    layer_left,
+    most_mg,
+    require_level,
+)
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, least_attack_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import HeightField
@@ -232,6 +242,16 @@ def test_a_bowl_in_which_the_sheet_is_never_level_is_refused(bore_mm: float, dep
         chosen(Bed(bowl, 2000.0, BEADS), SHEET_MM, 4750.0)
     with pytest.raises(NoStrokeError, match="before the sheet is level"):
         require_level(bowl, SHEET_MM)
+
+
+@pytest.mark.parametrize("fill", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize(("bore_mm", "depth_mm"), [(92.9, 21.9), (106.5, 28.6), (120.0, 38.7)])
+def test_of_a_full_mortar_a_stroke_begins_above_its_edge(bore_mm: float, depth_mm: float, fill: float) -> None:
+    """Its lip, which leaves a thick layer, may be there where it comes to the powder."""
+    bowl = Mortar(name="bowl", bore_mm=bore_mm, depth_mm=depth_mm, height_mm=50.0, outer_diameter_mm=bore_mm + 10.0)
+    bed = Bed(bowl, fill * bowl.capacity_mm3 * BEADS.bulk_density_mg_per_mm3, BEADS)
+    path = stroke_path(Vessel.of(bowl), chosen(bed, SHEET_MM, 4750.0), Ladle())
+    assert min(path.lip_mm[0, 2], path.apex_mm[0, 2]) >= bowl.depth_mm + 9.0
 
 
 def test_of_what_lay_before_a_lip_that_left_the_wall_some_is_not_expected() -> None:
