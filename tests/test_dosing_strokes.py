@@ -254,6 +254,14 @@ def test_of_a_full_mortar_a_stroke_begins_above_its_edge(bore_mm: float, depth_m
     assert min(path.lip_mm[0, 2], path.apex_mm[0, 2]) >= bowl.depth_mm + 9.0
 
 
+@pytest.mark.parametrize("bore_mm", [91.3, 120.7])
+def test_half_of_a_sphere_is_one_however_it_is_rounded(bore_mm: float) -> None:
+    bowl = Mortar(name="bowl", bore_mm=bore_mm, depth_mm=bore_mm / 2, height_mm=70.0, outer_diameter_mm=bore_mm + 10.0)
+    bed = Bed(bowl, 8000.0, BEADS)
+    assert expected_mg(chosen(bed, SHEET_MM, 4750.0), bed, SHEET_MM) > 0.0
+    assert np.isfinite(HeightField(bowl, BEADS).surface_mm()).all()
+
+
 def test_of_what_lay_before_a_lip_that_left_the_wall_some_is_not_expected() -> None:
     bed = Bed(SMALL, 4000.0, BEADS)
     stroke = chosen(bed, SHEET_MM, math.inf)
