@@ -262,6 +262,19 @@ def test_half_of_a_sphere_is_one_however_it_is_rounded(bore_mm: float) -> None:
     assert np.isfinite(HeightField(bowl, BEADS).surface_mm()).all()
 
 
+def test_of_more_than_is_wanted_between_two_gaps_of_the_grid_a_part_is_taken() -> None:
+    """Of a powder of which little may be taken at once, in a large full mortar."""
+    powder = BEADS.model_copy(update={"load_limit_mg": 500.0})
+    bowl = Mortar(name="large", bore_mm=130.0, depth_mm=40.0, height_mm=50.0, outer_diameter_mm=140.0)
+    in_mortar_mg, layer = 0.5 * bowl.capacity_mm3 * powder.bulk_density_mg_per_mm3, None
+    for _ in range(12):
+        bed = Bed(bowl, in_mortar_mg, powder, layer)
+        stroke = chosen(bed, SHEET_MM, 475.0)
+        expected = expected_mg(stroke, bed, SHEET_MM)
+        assert LITTLE_SHARE * 475.0 <= expected <= 475.0
+        in_mortar_mg, layer = in_mortar_mg - expected, layer_left(stroke, bed, SHEET_MM)
+
+
 def test_of_what_lay_before_a_lip_that_left_the_wall_some_is_not_expected() -> None:
     bed = Bed(SMALL, 4000.0, BEADS)
     stroke = chosen(bed, SHEET_MM, math.inf)
