@@ -69,6 +69,13 @@ def is_over(cell: Cell, source: Source) -> bool:
     return math.dist(cell.apex_mm()[:2], above_mm[:2]) <= source.mortar.bore_mm
 
 
+def aside_mm(cell: Cell, source: Source) -> float:
+    """How far the middle of the cone's mouth, which a stroke has over its mortar, is from that of this source's."""
+    apex, rim_mm, slant_mm = cell.apex(), cell.hand.cone_diameter_mm, cell.spec.hand.sheet_radius_mm
+    mouth_mm = 1000.0 * apex.position_m + math.sqrt(slant_mm**2 - (rim_mm / 2) ** 2) * apex.axis
+    return math.dist(mouth_mm[:2].tolist(), cell.places_mm[source.station][:2])
+
+
 def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     """Out of a mortar in which a scoop was halted, straight up; what the cone may hold goes back into it.
 
