@@ -129,6 +129,8 @@ def test_what_is_kept_of_one_mortar_goes_back_into_it_before_another_one_of_the_
     ran = dry_run(tmp_path, text + more, controller=None)
     assert [(sample.verdict, sample.code) for sample in ran.result.samples] == [("in tolerance", None)] * 4
     assert {payload["source"] for _, payload in events(ran, "returned")} == {"beads", "salt"}
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["returned"] == 0.0, "of a rest in the mortar of the same lot nothing is lost"
 
 
 def test_the_report_counts_the_sheets_that_have_touched_each_lot(tmp_path: Path) -> None:
