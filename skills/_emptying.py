@@ -137,8 +137,10 @@ def pour_rest(cell: Cell, source: Source) -> Steps[None]:
 
     It goes into the mortar, or into what its leftovers are discarded into.
 
-    Where the arm cannot, it stays, and is known to.
+    Where the arm cannot, or the powder would not slide, it stays, and is known to.
     """
+    if not slides_out(cell, source):
+        return
     goes_to = vessel_for(cell, source) or source.station
     yield from cell.move_to(goes_to)
     try:
@@ -150,6 +152,13 @@ def pour_rest(cell: Cell, source: Source) -> Steps[None]:
         cell.believed.emptied()
         if goes_to != source.station:
             cell.record.event(Discarded(expected_mg=0.0, source=source.name, to=goes_to))
+
+
+def slides_out(cell: Cell, source: Source) -> bool:
+    """Whether a powder slides out of a cone that is poured: the sheet's lower side is then so steep."""
+    half_deg = math.degrees(math.asin(cell.hand.cone_diameter_mm / 2.0 / cell.spec.hand.sheet_radius_mm))
+    slope_deg = POURING_DEG[-1] + half_deg - 90.0
+    return min(source.powder.wall_friction_deg, source.powder.repose_deg) < slope_deg
 
 
 def vessel_for(cell: Cell, source: Source) -> str | None:
@@ -203,7 +212,7 @@ def put_away(cell: Cell) -> Steps[None]:
         return
     yield from open_to_let_out(cell)
     yield from cell.move_to(source.station)
-    if not believed.is_load_doubted:
+    if not believed.is_load_doubted and slides_out(cell, source):
         try:
             yield from pour_back(cell, source)
         except SkillFailed as failure:

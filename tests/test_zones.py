@@ -379,6 +379,25 @@ def test_a_cone_that_is_halted_while_it_is_poured_out_is_turned_upright_and_pour
     assert bench.world.masses_mg[goes_to] - before_mg == pytest.approx(held_mg, abs=1.0)
 
 
+def test_a_powder_that_would_not_slide_out_of_a_cone_that_is_poured_is_let_out_through_the_valve(
+    starter: Lab, motion: MotionPlanner
+) -> None:
+    """Poured, all of it stayed in a cone that was believed to be empty."""
+    bench, source = scooping_bench(starter, motion)
+    steep = {"repose_deg": 80.0, "wall_friction_deg": 75.0}
+    source, cell = source.model_copy(update={"powder": source.powder.model_copy(update=steep)}), bench.cell
+    bench = Bench(starter, motion, {"beads": source})
+    cell = bench.cell
+    cell.places_mm = all_places(starter.cell, cell.sources, [])
+    cell.believed.source_holds("beads", 20_000.0)
+    bench.do(cell.move_to("mortar_bay"))
+    bench.world.load_cone("beads", 3000.0)
+    cell.believed.scooped(source, 3000.0)
+    bench.do(starter.library.skills["return_leftover"](source=source).run(cell))
+    assert (cell.believed.cone_mg, cell.believed.cone_source) == (0.0, None)
+    assert bench.world.masses_mg["cone"] == pytest.approx(0.0, abs=1.0)
+
+
 def test_a_cone_whose_emptying_is_halted_is_known_to_be_loaded_and_no_powder_is_made_of_it(
     starter: Lab, motion: MotionPlanner
 ) -> None:
