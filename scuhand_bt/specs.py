@@ -240,8 +240,8 @@ class Mortar(Spec):
 
     @property
     def bowl_radius_mm(self) -> float:
-        """Radius of the sphere whose cap the bowl is: (a^2 + h^2) / 2h."""
-        return ((self.bore_mm / 2) ** 2 + self.depth_mm**2) / (2 * self.depth_mm)
+        """Radius of the sphere whose cap the bowl is: (a^2 + h^2) / 2h; never less than a, which rounding makes it."""
+        return max(self.bore_mm / 2, ((self.bore_mm / 2) ** 2 + self.depth_mm**2) / (2 * self.depth_mm))
 
     @property
     def capacity_mm3(self) -> float:

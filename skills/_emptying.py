@@ -69,6 +69,13 @@ def is_over(cell: Cell, source: Source) -> bool:
     return math.dist(cell.apex_mm()[:2], above_mm[:2]) <= source.mortar.bore_mm
 
 
+def aside_mm(cell: Cell, source: Source) -> float:
+    """How far the middle of the cone's mouth, which a stroke has over its mortar, is from that of this source's."""
+    apex, rim_mm, slant_mm = cell.apex(), cell.hand.cone_diameter_mm, cell.spec.hand.sheet_radius_mm
+    mouth_mm = 1000.0 * apex.position_m + math.sqrt(slant_mm**2 - (rim_mm / 2) ** 2) * apex.axis
+    return math.dist(mouth_mm[:2].tolist(), cell.places_mm[source.station][:2])
+
+
 def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     """Out of a mortar in which a scoop was halted, straight up; what the cone may hold goes back into it.
 
@@ -130,8 +137,10 @@ def pour_rest(cell: Cell, source: Source) -> Steps[None]:
 
     It goes into the mortar, or into what its leftovers are discarded into.
 
-    Where the arm cannot, it stays, and is known to.
+    Where the arm cannot, or the powder would not slide, it stays, and is known to.
     """
+    if not slides_out(cell, source):
+        return
     goes_to = vessel_for(cell, source) or source.station
     yield from cell.move_to(goes_to)
     try:
@@ -143,6 +152,13 @@ def pour_rest(cell: Cell, source: Source) -> Steps[None]:
         cell.believed.emptied()
         if goes_to != source.station:
             cell.record.event(Discarded(expected_mg=0.0, source=source.name, to=goes_to))
+
+
+def slides_out(cell: Cell, source: Source) -> bool:
+    """Whether a powder slides out of a cone that is poured: the sheet's lower side is then so steep."""
+    half_deg = math.degrees(math.asin(cell.hand.cone_diameter_mm / 2.0 / cell.spec.hand.sheet_radius_mm))
+    slope_deg = POURING_DEG[-1] + half_deg - 90.0
+    return min(source.powder.wall_friction_deg, source.powder.repose_deg) < slope_deg
 
 
 def vessel_for(cell: Cell, source: Source) -> str | None:
@@ -196,7 +212,7 @@ def put_away(cell: Cell) -> Steps[None]:
         return
     yield from open_to_let_out(cell)
     yield from cell.move_to(source.station)
-    if not believed.is_load_doubted:
+    if not believed.is_load_doubted and slides_out(cell, source):
         try:
             yield from pour_back(cell, source)
         except SkillFailed as failure:

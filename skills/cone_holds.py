@@ -13,6 +13,8 @@ class ConeHolds(Condition):
     watches = ("hand",)
 
     powder: Powder
+    lot: str | None = None
+    """Of which lot it is to be: "" for a source that names none; None for any."""
     at_least_mg: Milligrams = 1.0
     wanted_mg: Milligrams = 0.0
     """What is to be dosed of it, without the last of its load; a dose that needs several loads begins with this one.
@@ -42,3 +44,6 @@ class ConeHolds(Condition):
             raise SkillFailed(Code.HAND_CONE_EMPTY, "what is left in the cone comes only shaken: it is put away first")
         if source.powder.name != self.powder.name:
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.powder.name}, not {self.powder.name}")
+        if self.lot not in (None, source.lot):
+            wanted = f"lot '{self.lot}'" if self.lot else "of a source that names no lot"
+            raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.sheet_key}, not {wanted}")

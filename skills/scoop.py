@@ -98,8 +98,6 @@ class Scoop(Skill[Milligrams]):
             raise SkillFailed(
                 Code.HAND_WRONG_POWDER, f"the sheet has touched {believed.sheet}, not {self.source.sheet_key}"
             )
-        if believed.cone_source not in (None, self.source.name) and believed.cone_mg > 0:
-            raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone still holds powder from '{believed.cone_source}'")
 
     def _bed(self, cell: Cell) -> Bed:
         source, believed = self.source, cell.believed

@@ -2,7 +2,7 @@
 
 from scuhand_bt.skill import Cell, Skill, Steps
 
-from ._emptying import is_over, leave_mortar
+from ._emptying import aside_mm, is_over, leave_mortar
 
 UPRIGHT = 0.999
 """Cosine of the axis' tilt, at most."""
@@ -21,8 +21,9 @@ class Withdraw(Skill[None]):
 
     def run(self, cell: Cell) -> Steps[None]:
         axis, (_, _, apex_mm) = cell.apex().axis, cell.apex_mm()
-        for source in cell.sources.values():
+        for source in sorted(cell.sources.values(), key=lambda source: aside_mm(cell, source)):
             is_above = axis[2] > UPRIGHT and apex_mm > cell.places_mm[source.station][2] - NEAR_MM
-            if is_over(cell, source) and not is_above:
+            # Before it goes in a scoop tells what its sheet touches: of mortars side by side it is in no other lot's.
+            if source.sheet_key == cell.believed.sheet and is_over(cell, source) and not is_above:
                 yield from leave_mortar(cell, source)
                 return

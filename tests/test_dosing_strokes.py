@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
-from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, Layer, chosen, expected_mg, layer_left, most_mg, require_level
+from scuhand_bt.dosing.strokes import (
+    GRAINS_CLEAR,
+    LITTLE_SHARE,
+    Bed,
+    Layer,
+    chosen,
+    expected_mg,
+    layer_left,
+    most_mg,
+    require_level,
+)
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.swing_plane import least_attack_deg
 from scuhand_bt.dosing.vessel import Vessel
@@ -234,6 +244,37 @@ def test_a_bowl_in_which_the_sheet_is_never_level_is_refused(bore_mm: float, dep
         chosen(Bed(bowl, 2000.0, BEADS), SHEET_MM, 4750.0)
     with pytest.raises(NoStrokeError, match="before the sheet is level"):
         require_level(bowl, SHEET_MM)
+
+
+@pytest.mark.parametrize("fill", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize(("bore_mm", "depth_mm"), [(92.9, 21.9), (106.5, 28.6), (120.0, 38.7)])
+def test_of_a_full_mortar_a_stroke_begins_above_its_edge(bore_mm: float, depth_mm: float, fill: float) -> None:
+    """Its lip, which leaves a thick layer, may be there where it comes to the powder."""
+    bowl = Mortar(name="bowl", bore_mm=bore_mm, depth_mm=depth_mm, height_mm=50.0, outer_diameter_mm=bore_mm + 10.0)
+    bed = Bed(bowl, fill * bowl.capacity_mm3 * BEADS.bulk_density_mg_per_mm3, BEADS)
+    path = stroke_path(Vessel.of(bowl), chosen(bed, SHEET_MM, 4750.0), Ladle())
+    assert min(path.lip_mm[0, 2], path.apex_mm[0, 2]) >= bowl.depth_mm + 9.0
+
+
+@pytest.mark.parametrize("bore_mm", [91.3, 120.7])
+def test_half_of_a_sphere_is_one_however_it_is_rounded(bore_mm: float) -> None:
+    bowl = Mortar(name="bowl", bore_mm=bore_mm, depth_mm=bore_mm / 2, height_mm=70.0, outer_diameter_mm=bore_mm + 10.0)
+    bed = Bed(bowl, 8000.0, BEADS)
+    assert expected_mg(chosen(bed, SHEET_MM, 4750.0), bed, SHEET_MM) > 0.0
+    assert np.isfinite(HeightField(bowl, BEADS).surface_mm()).all()
+
+
+def test_of_more_than_is_wanted_between_two_gaps_of_the_grid_a_part_is_taken() -> None:
+    """Of a powder of which little may be taken at once, in a large full mortar."""
+    powder = BEADS.model_copy(update={"load_limit_mg": 500.0})
+    bowl = Mortar(name="large", bore_mm=130.0, depth_mm=40.0, height_mm=50.0, outer_diameter_mm=140.0)
+    in_mortar_mg, layer = 0.5 * bowl.capacity_mm3 * powder.bulk_density_mg_per_mm3, None
+    for _ in range(12):
+        bed = Bed(bowl, in_mortar_mg, powder, layer)
+        stroke = chosen(bed, SHEET_MM, 475.0)
+        expected = expected_mg(stroke, bed, SHEET_MM)
+        assert LITTLE_SHARE * 475.0 <= expected <= 475.0
+        in_mortar_mg, layer = in_mortar_mg - expected, layer_left(stroke, bed, SHEET_MM)
 
 
 def test_of_what_lay_before_a_lip_that_left_the_wall_some_is_not_expected() -> None:

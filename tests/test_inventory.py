@@ -330,6 +330,18 @@ def test_a_fresh_sheet_is_counted_and_stop_refuses(cell: Cell, desk: Desk) -> No
         settled(cell, desk, Answering("stop"), sheet)
 
 
+def test_a_fresh_sheet_is_as_wide_as_it_is_mounted_whatever_the_roller_has_made_of_the_last_one(
+    tmp_path: Path, desk: Desk
+) -> None:
+    """Else the one that is mounted would be opened beyond the flat sheet."""
+    cell = dry_run(tmp_path, RECIPE).session.cell
+    cell.hand.rim_is(48.0)
+    operator = Answering("fresh")
+    settled(cell, desk, operator, StockEntry("sheet", "", "glass_beads", "L8", used=4))
+    assert cell.hand.cone_diameter_mm == 90.0
+    assert operator.asked[0][0].endswith("Is a fresh one in the hand now, its rim 90 mm wide?")
+
+
 # --- in a real run, here with the simulated devices taken for real ones
 
 

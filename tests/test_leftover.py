@@ -121,6 +121,18 @@ def test_the_plan_shows_beside_the_waste_what_goes_into_the_vessel_that_the_reci
     assert [left_mg[kind].middle > 1000.0 for kind in left_mg] == [False, False, False, True]
 
 
+def test_what_is_kept_of_one_mortar_goes_back_into_it_before_another_one_of_the_same_lot_is_scooped_from(
+    tmp_path: Path,
+) -> None:
+    text = two_lots().replace("scoop_and_dispense", "fill_crucible").replace("lot: B, ", "").replace("300 mg", "3 g")
+    more = "  - {id: c, mass: 3 g}\n  - {id: d, source: salt, mass: 3 g}\n"
+    ran = dry_run(tmp_path, text + more, controller=None)
+    assert [(sample.verdict, sample.code) for sample in ran.result.samples] == [("in tolerance", None)] * 4
+    assert {payload["source"] for _, payload in events(ran, "returned")} == {"beads", "salt"}
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["returned"] == 0.0, "of a rest in the mortar of the same lot nothing is lost"
+
+
 def test_the_report_counts_the_sheets_that_have_touched_each_lot(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, two_lots())
     with open_contents(ran.journal) as contents:

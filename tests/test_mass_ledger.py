@@ -4,12 +4,16 @@ import math
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from running import Ran, dry_run, make_lab
 
 from scuhand_bt.journal.export import canonical
+from scuhand_bt.lab import Lab
+from scuhand_bt.sim.under_the_cone import Surroundings
+from scuhand_bt.specs import Source
 
 SOURCES = ("beads", "msg")
 CONTAINERS = {"xrd_holder": 100, "pellet_die_13mm": 900, "alumina_crucible": 2500}
@@ -104,3 +108,20 @@ on_failure: {otherwise: flag}
     assert ran.result.exit_code in (0, 1)
     assert all(sample.verdict in ("in tolerance", "under", "over") for sample in ran.result.samples)
     assert_conserved(ran)
+
+
+@pytest.mark.parametrize(("of", "place"), [("beads", "source:beads"), (None, "source:beads"), ("other", "returned")])
+def test_what_falls_into_a_mortar_is_in_it_unless_it_is_of_another_lot(
+    starter: Lab, of: str | None, place: str
+) -> None:
+    """Also out of a fresh sheet's cone that is still in its first scoop, and told to be of none."""
+    beads = Source(
+        name="beads",
+        station="mortar_bay",
+        mortar=starter.library.mortars["agate_mortar"],
+        powder=starter.library.powders["glass_beads"],
+        amount_mg=5000.0,
+    )
+    other = beads.model_copy(update={"name": "other", "station": "mortar_bay_2", "lot": "B"})
+    around = Surroundings(starter.cell, {"beads": beads, "other": other})
+    assert str(around.below(np.array([200.0, 240.0, 60.0]), 0.0, of)[0]) == place

@@ -111,3 +111,10 @@ def test_a_bed_whose_state_cannot_be_written_is_refused_before_a_run_which_could
     powder, mortar = lab.library.powders["glass_beads"], lab.library.mortars["agate_mortar"]
     with pytest.raises(PlantError, match=r"mine:Own: 'kept' of bed\(agate_mortar, glass_beads, 50\)"):
         plant.probe(powder, lab.cell.balance, mortar)
+
+
+def test_a_plant_is_tried_with_a_mortar_that_is_wider_than_any_cone() -> None:
+    lab = load_lab(starter_lab())
+    wide = {"bore_mm": 220.0, "depth_mm": 80.0, "height_mm": 90.0, "outer_diameter_mm": 230.0}
+    mortar = lab.library.mortars["agate_mortar"].model_copy(update=wide)
+    Plant(None, "mine:Own").probe(lab.library.powders["glass_beads"], lab.cell.balance, mortar)

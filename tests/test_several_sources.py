@@ -285,3 +285,16 @@ def test_after_a_failure_the_cone_is_emptied_into_the_source_that_it_was_filled_
     assert ran.session.world.masses_mg["returned"] == 0.0
     assert ran.session.cell.believed.cone_source is None
     assert ran.session.world.masses_mg["waste"] < 10.0
+
+
+def test_what_the_cone_holds_of_one_lot_is_not_dosed_as_another_lot_of_the_powder(
+    tmp_path: Path, lab: LabFolder
+) -> None:
+    change = "    - change_powder: {source: $second}\n    - tare:\n"
+    without = IN_ORDER.replace(change, "").replace("leftover: {source: $first}", "leftover: {source: $second}")
+    lab.write("trees/blend.yaml", without)
+    text = recipe(f"id: a, {MIXED}", powder="glass_beads, lot: B")
+    ran = dry_run(tmp_path, text, lab=lab.folder)
+    assert ran.sample("a").code == "hand.wrong_powder"
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["container:a"] == pytest.approx(40.0, abs=4.0), "and no more of lot B"

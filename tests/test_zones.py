@@ -1,6 +1,8 @@
 """Two things at once in one cell: the arm keeps out of what another moves in, and still while something is weighed."""
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -292,6 +294,37 @@ def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion:
     assert left_mg == pytest.approx(20_000.0, abs=10.0)
 
 
+def test_of_mortars_side_by_side_the_cone_is_withdrawn_from_the_one_that_it_was_halted_in(starter: Lab) -> None:
+    """Where its apex is behind the powder it is nearer to the other one, whose lot the sheet has not touched."""
+    stations = starter.cell.stations
+    beside = stations["mortar_bay_2"].model_copy(update={"position_mm": (200.0, 345.0, 0.0)})
+    lab = replace(starter, cell=starter.cell.model_copy(update={"stations": {**stations, "mortar_bay_2": beside}}))
+    of = {"mortar_bay": lab.library.mortars["agate_mortar"], "mortar_bay_2": lab.library.mortars["small_agate_mortar"]}
+    planner = lab.motion_planner(of)
+    bench, source = scooping_bench(lab, planner)
+    other = source.model_copy(update={"name": "a", "lot": "2", "station": "mortar_bay_2", "mortar": of["mortar_bay_2"]})
+    bench = Bench(lab, planner, {"a": other, "beads": source})
+    cell = bench.cell
+    for name in ("a", "beads"):
+        cell.believed.source_holds(name, 20_000.0)
+    cell.places_mm = all_places(lab.cell, cell.sources, [])
+    for name, position_mm in cell.places_mm.items():
+        planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+    cell.strokes_made["beads"] = 3
+    scooping = lab.library.skills["scoop"](source=source).run(cell)
+    while bench.clock.now_s < 2.0:
+        next(scooping)
+        bench.clock.wait([Wake(bench.clock.now_s + 0.1)])
+    scooping.close()
+    cell.hand.stop()
+    bench.do(bench.later(2.0, lambda: None))
+    bench.do(lab.library.skills["withdraw"]().run(cell))
+    assert cell.believed.sheet == source.sheet_key
+    assert math.dist(cell.apex_mm()[:2], cell.places_mm["mortar_bay"][:2]) < 5.0
+    assert bench.world.masses_mg["source:a"] == 20_000.0
+    assert bench.world.masses_mg["returned"] == bench.world.masses_mg["spilled"] == 0.0
+
+
 def test_a_scoop_that_is_halted_where_the_arm_cannot_go_straight_up_comes_up_with_the_cone_turned(
     starter: Lab,
 ) -> None:
@@ -344,6 +377,25 @@ def test_a_cone_that_is_halted_while_it_is_poured_out_is_turned_upright_and_pour
     bench.do(pours.run(cell) if rest_mg == 0.0 else cell.move_to("park"))
     assert bench.world.masses_mg["spilled"] == 0.0
     assert bench.world.masses_mg[goes_to] - before_mg == pytest.approx(held_mg, abs=1.0)
+
+
+def test_a_powder_that_would_not_slide_out_of_a_cone_that_is_poured_is_let_out_through_the_valve(
+    starter: Lab, motion: MotionPlanner
+) -> None:
+    """Poured, all of it stayed in a cone that was believed to be empty."""
+    bench, source = scooping_bench(starter, motion)
+    steep = {"repose_deg": 80.0, "wall_friction_deg": 75.0}
+    source, cell = source.model_copy(update={"powder": source.powder.model_copy(update=steep)}), bench.cell
+    bench = Bench(starter, motion, {"beads": source})
+    cell = bench.cell
+    cell.places_mm = all_places(starter.cell, cell.sources, [])
+    cell.believed.source_holds("beads", 20_000.0)
+    bench.do(cell.move_to("mortar_bay"))
+    bench.world.load_cone("beads", 3000.0)
+    cell.believed.scooped(source, 3000.0)
+    bench.do(starter.library.skills["return_leftover"](source=source).run(cell))
+    assert (cell.believed.cone_mg, cell.believed.cone_source) == (0.0, None)
+    assert bench.world.masses_mg["cone"] == pytest.approx(0.0, abs=1.0)
 
 
 def test_a_cone_whose_emptying_is_halted_is_known_to_be_loaded_and_no_powder_is_made_of_it(

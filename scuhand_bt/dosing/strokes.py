@@ -59,8 +59,8 @@ WIDEST_SHARE = 0.92
 """Of the bore, or of the flat sheet: the widest rim that a stroke begins with."""
 CLOSING_MM = 12.0
 """How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
-RIM_GRID_MM, GAP_GRID_MM = 2.0, 0.25
-"""Strokes differ by so much at least."""
+RIM_GRID_MM, GAP_GRID_MM, FINE_GRID_MM = 2.0, 0.25, 0.01
+"""Strokes differ by so much at least; gaps by the last where more than is wanted lies between two of the others."""
 GRAINS_CLEAR, GRAINS_LEAST = 4.0, 1.25
 """By discrete elements round grains jam in a gap of half of one, and pass in one of one; others are less even. Where a
 layer of so many leaves less than `LITTLE_SHARE` of what is wanted to be taken, it is thinner."""
@@ -200,17 +200,19 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
     whole = replace(deepest, begin_mm=min(deepest.begin_mm, -_on_grid(swept_mm, RIM_GRID_MM)))
     level_mm = bed.mortar.bowl_radius_mm * math.radians(_attack_deg(deepest, bed.mortar, sheet_radius_mm))
 
+    def may_be(ended: Stroke) -> bool:
+        return ended.end_mm >= level_mm and most_mg(ended, bed, sheet_radius_mm) <= wanted_mg
+
     def first(strokes: Iterable[Stroke]) -> Stroke:
-        ended = (_ended(stroke, bed, sheet_radius_mm) for stroke in strokes)
-        for stroke in ended:
-            if stroke.end_mm >= level_mm and most_mg(stroke, bed, sheet_radius_mm) <= wanted_mg:
-                return stroke
+        for stroke in strokes:
+            if may_be(ended := _ended(stroke, bed, sheet_radius_mm)):
+                return ended
         raise _never_level(bed.mortar, sheet_radius_mm)
 
-    def layered(grains: float) -> Iterator[Stroke]:
+    def layered(grains: float, from_mm: float = 0.0, grid_mm: float = GAP_GRID_MM) -> Iterator[Stroke]:
         """Up to the first that leaves all that lies there: what comes after it is the same."""
-        for steps in count(math.ceil(grains * bed.powder.grain_mm / GAP_GRID_MM)):
-            stroke = replace(deepest, gap_mm=steps * GAP_GRID_MM)
+        for steps in count(math.ceil(max(grains * bed.powder.grain_mm, from_mm) / grid_mm)):
+            stroke = replace(deepest, gap_mm=steps * grid_mm)
             yield stroke
             if bed.above_mg(_left_mm(stroke, bed.powder)) <= 0.0:
                 return
@@ -219,6 +221,10 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
     little_mg = LITTLE_SHARE * min(wanted_mg, bed.mass_mg)
     if most_mg(stroke, bed, sheet_radius_mm) < little_mg:
         stroke = first(layered(GRAINS_LEAST))
+    deeper_mm = stroke.gap_mm - GAP_GRID_MM
+    if most_mg(stroke, bed, sheet_radius_mm) < little_mg and deeper_mm >= GRAINS_LEAST * bed.powder.grain_mm:
+        deeper = _ended(replace(deepest, gap_mm=deeper_mm), bed, sheet_radius_mm)
+        stroke = stroke if may_be(deeper) else first(layered(GRAINS_LEAST, deeper_mm, FINE_GRID_MM))
     if most_mg(stroke, bed, sheet_radius_mm) <= 0.0:
         raise NoStrokeError(
             f"{bed.mass_mg / 1000:.1f} g of grains of {bed.powder.grain_mm:g} mm lie less thick than one of them, and "

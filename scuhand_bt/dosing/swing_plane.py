@@ -203,7 +203,8 @@ class Flat:
     def _entry(self, first: Pose) -> list[Pose] | None:
         lip_mm = first.lip_mm(self._ladle.slant_mm)
         incline = math.atan2(first.apex_mm[1] - lip_mm[1], first.apex_mm[0] - lip_mm[0])
-        up_mm = self._vessel.depth_mm + OVER_EDGE_MM - min(lip_mm[1], first.apex_mm[1])
+        # Not at all where it is there already: above a full vessel's edge, with a lip that leaves a thick layer.
+        up_mm = max(0.0, self._vessel.depth_mm + OVER_EDGE_MM - min(lip_mm[1], first.apex_mm[1]))
         for back in np.linspace(incline, math.pi / 2, ENTRIES).tolist():
             if math.sin(back) < LEVEL_ENTRY:
                 continue

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps
@@ -25,7 +24,7 @@ PLAUSIBLE_SHARE = 0.05
 EMPTY_MG = 1.0
 """A cone or a mortar with less holds nothing."""
 
-Resolution = Callable[[Believed], None]
+Resolution = Callable[[Cell], None]
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Conflict:
 
 def conflicts(plan: Plan, cell: CellSpec, stock: Stock) -> list[Conflict]:
     """All that the inventory has against this plan."""
-    return [*_about_sources(plan, stock), *_about_hand(plan, stock), *_about_changer(plan, cell, stock)]
+    return [*_about_sources(plan, stock), *_about_hand(plan, cell, stock), *_about_changer(plan, cell, stock)]
 
 
 def require_resolvable(found: Sequence[Conflict], *, unattended: bool) -> None:
@@ -101,7 +100,7 @@ def resolve(cell: Cell, found: Sequence[Conflict]) -> Steps[None]:
         answer = yield from cell.operator.ask(conflict.question, (*answers, "stop"))
         if answer not in answers:
             raise SkillFailed(Code.OPERATOR_REFUSED, conflict.what)
-        answers[answer](cell.believed)
+        answers[answer](cell)
 
 
 def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
@@ -147,13 +146,23 @@ def _set(source: Source) -> str:
 
 
 def _believe_source(name: str, mass_mg: float) -> Resolution:
-    def believe(believed: Believed) -> None:
-        believed.source_holds(name, mass_mg)
+    def believe(cell: Cell) -> None:
+        cell.believed.source_holds(name, mass_mg)
 
     return believe
 
 
-def _about_hand(plan: Plan, stock: Stock) -> Iterator[Conflict]:
+def _fresh_sheet(cell: Cell) -> None:
+    """It is as wide as it is mounted, whatever the roller has made of the one before."""
+    cell.hand.rim_is(cell.spec.hand.options.start_diameter_mm)
+    cell.believed.sheet_swapped()
+
+
+def _slots_refilled(cell: Cell) -> None:
+    cell.believed.slots_refilled()
+
+
+def _about_hand(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
     """The cone must be empty, or hold what comes first; and so the sheet."""
     first = next((job.sample.sources[0] for job in plan.jobs if job.sample is not None and job.sample.sources), None)
     mark = plan.recipe.marks[f"sources.{first.name}"] if first is not None else Mark(str(plan.recipe.path))
@@ -165,8 +174,9 @@ def _about_hand(plan: Plan, stock: Stock) -> Iterator[Conflict]:
         yield Conflict(mark, f"{what}; {needs}; empty it, and say so: scuhand-bt inventory set cone '0 mg'")
     if sheet is not None and sheet.powder and first is not None and sheet.lot_key != first.sheet_key:
         what = f"by the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
-        question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now?"
-        yield Conflict(mark, f"{what}; {needs}", question, (("fresh", Believed.sheet_swapped),))
+        rim = f"its rim {cell.hand.options.start_diameter_mm:g} mm wide"
+        question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now, {rim}?"
+        yield Conflict(mark, f"{what}; {needs}", question, (("fresh", _fresh_sheet),))
 
 
 def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
@@ -179,7 +189,7 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
         what = f"by the inventory {used} slots of the changer were used ({last.origin}) when it was filled otherwise"
         question = f"The changer is to be filled {how} now. Has that been done?"
         what = f"{what} than robot/cell.yaml says now ({how})"
-        yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", Believed.slots_refilled),))
+        yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", _slots_refilled),))
         return
     batch = Counter(one.name for sample in plan.recipe.samples for one in sample.all_containers)
     for kind in cell.changer.kinds or ("",):
@@ -192,4 +202,4 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
         what = f"by the inventory {used} of the changer's {slots} slots{for_kind} are used ({known.origin})"
         question = f"{used} of the changer's {slots} slots{for_kind} are used. Is it filled again now?"
         what = f"{what}; the batch has {containers} containers" + (f" of the kind {kind}" if kind else "")
-        yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", Believed.slots_refilled),))
+        yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", _slots_refilled),))

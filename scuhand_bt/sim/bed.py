@@ -62,7 +62,7 @@ ONE_LAYER = 0.94
 def wall_mm(mortar: Mortar, radius_mm: Floats) -> Floats:
     """The bowl's height at distances from its middle; that of the edge, outside."""
     a, h = mortar.bore_mm / 2, mortar.depth_mm
-    sphere_mm = (a * a + h * h) / (2 * h)
+    sphere_mm = max(a, (a * a + h * h) / (2 * h))  # of half a sphere rounding makes less
     height: Floats = sphere_mm - np.sqrt(sphere_mm**2 - np.minimum(radius_mm, a) ** 2)
     return height
 

@@ -39,7 +39,7 @@ FLIGHT = Compartment("flight")
 PAN = Compartment("pan")
 """On the balance, beside the container's mouth."""
 RETURNED = Compartment("returned")
-"""Put back into another powder's mortar."""
+"""Put back into the mortar of another lot."""
 WASTE = Compartment("waste")
 """The bin, and what leaves the cell with a sheet."""
 SPILLED = Compartment("spilled")

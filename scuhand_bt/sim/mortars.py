@@ -90,7 +90,9 @@ class Mortars:
         if gained_mg >= 0.0:
             self._ledger.transfer(place, CONE, min(gained_mg, masses_mg[place]))
         else:
-            self._ledger.transfer(CONE, place if of in (None, name) else RETURNED, min(-gained_mg, masses_mg[CONE]))
+            came_from = self._sources.get(of or name)
+            is_same = came_from is not None and came_from.sheet_key == self._sources[name].sheet_key
+            self._ledger.transfer(CONE, place if is_same else RETURNED, min(-gained_mg, masses_mg[CONE]))
         self._ledger.transfer(place, SPILLED, min(lost_mg, masses_mg[place]))
 
     def _bed(self, name: str) -> Bed:

@@ -123,9 +123,9 @@ class Plant:
             raise PlantError(f"{self.name}: {type(error).__name__} while it was tried: {error}") from error
 
     def _probe_bed(self, mortar: Mortar, powder: Powder) -> None:
-        bed, level = self.bed(mortar, powder, 50.0), np.array([0.0, 0.0, 1.0])
+        bed, level, rim_mm = self.bed(mortar, powder, 50.0), np.array([0.0, 0.0, 1.0]), min(50.0, mortar.bore_mm / 2)
         for height_mm in (mortar.depth_mm, mortar.depth_mm / 2):
-            self.moved(bed.move(height_mm * level, level, mortar.bore_mm / 2, 1000.0, 0.0), 1000.0, 0.0)
+            self.moved(bed.move(height_mm * level, level, rim_mm, 1000.0, 0.0), 1000.0, 0.0)
         bed.leave()
         try:
             self.bed(mortar, powder, 50.0).kept = json.loads(json.dumps(bed.kept))

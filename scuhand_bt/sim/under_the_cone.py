@@ -26,7 +26,8 @@ class Surroundings:
     def below(self, point_mm: Floats, mouth_mm: float, cone_source: str | None) -> tuple[Compartment, float]:
         """What lies under a point (3,), and the fall time to it [s].
 
-        `mouth_mm` is that container's, 0 without one; `cone_source` names the mortar that its powder goes back to.
+        `mouth_mm` is that container's, 0 without one; `cone_source` names the source of what falls, None while a fresh
+        sheet is still in its mortar.
         """
         x_mm, y_mm, z_mm = point_mm.tolist()
 
@@ -43,7 +44,9 @@ class Surroundings:
         for name, station in self._station_of.items():
             mortar = self._sources[name].mortar
             if aside_mm(station) <= mortar.bore_mm / 2.0:
-                place = in_source(name) if name == cone_source else RETURNED
+                came_from = self._sources.get(cone_source or name)
+                is_same = came_from is not None and came_from.sheet_key == self._sources[name].sheet_key
+                place = in_source(name) if is_same else RETURNED
                 return place, fall_s(station.position_mm[2] + mortar.height_mm - mortar.depth_mm)
         for station in self._stations.values():
             if station.kind == "waste" and aside_mm(station) <= WASTE_RADIUS_MM:
