@@ -26,7 +26,7 @@ from scuhand_bt.lab_state.lab_db import MIGRATIONS, reading_lab_db, writing_lab_
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.inventory_conflicts import conflicts, recall, require_resolvable, resolve
+from scuhand_bt.run.inventory_conflicts import about_rim, conflicts, recall, require_resolvable, resolve
 from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import Setup, set_up
 from scuhand_bt.run.options import Options
@@ -342,6 +342,26 @@ def test_a_fresh_sheet_is_as_wide_as_it_is_mounted_whatever_the_roller_has_made_
     assert operator.asked[0][0].endswith("Is a fresh one in the hand now, its rim 90 mm wide?")
 
 
+@pytest.mark.parametrize(("answer", "rim_mm"), [("mounted", 90.0), ("rolled", 48.0)])
+def test_of_a_fresh_sheet_that_was_entered_it_is_asked_what_the_roller_has_made_of_it(
+    tmp_path: Path, answer: str, rim_mm: float
+) -> None:
+    cell = dry_run(tmp_path, RECIPE).session.cell
+    cell.operator = operator = Answering(answer)  # type: ignore[assignment]
+    entered = StockEntry("sheet", "", used=2, operator="ada")
+    assert about_rim(cell, stock_of(entered)) == [], "it is as wide as it is mounted"
+    cell.hand.rim_is(48.0)
+    assert about_rim(cell, stock_of(replace(entered, operator=None))) == [], "a run has swapped it"
+    assert about_rim(cell, stock_of(replace(entered, powder="glass_beads"))) == [], "it is no fresh one"
+    for _ in resolve(cell, about_rim(cell, stock_of(entered))):
+        pass
+    assert cell.hand.cone_diameter_mm == rim_mm
+    question = (
+        "A fresh sheet was entered. How wide is its rim: 90 mm, as it is mounted, or 48 mm, to which it was rolled"
+    )
+    assert operator.asked == [(f"{question} since?", ("mounted", "rolled", "stop"))]
+
+
 # --- in a real run, here with the simulated devices taken for real ones
 
 
@@ -355,7 +375,9 @@ def real(tmp_path: Path, starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Calla
         made.cell.simulated = False
         return made
 
-    def run(recipe: str = RECIPE, operator: Answering | None = None, **options: bool) -> tuple[BatchResult, Session]:
+    def run(
+        recipe: str = RECIPE, operator: Answering | None = None, rim_mm: float = 90.0, **options: bool
+    ) -> tuple[BatchResult, Session]:
         path = tmp_path / "recipe.yaml"
         path.write_text(recipe)
         plan = make_plan(load_recipe(path, lab), lab)
@@ -363,6 +385,7 @@ def real(tmp_path: Path, starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Calla
         session = Session(plan, lab, given, shared_planner(plan, lab))
         if operator is not None:
             session.cell.operator = operator  # type: ignore[assignment]
+        session.cell.hand.rim_is(rim_mm)
         try:
             return session.run(Watching()), session
         finally:
@@ -380,6 +403,17 @@ def test_a_real_run_goes_on_from_what_the_one_before_left(real: Callable[..., tu
     assert second.sources_mg["beads"] < first.sources_mg["beads"] < 5000.0
     assert (first.slots_used, second.slots_used) == (2, 4)
     assert second.containers_used == {"xrd_holder": 4}
+
+
+def test_a_real_run_asks_for_the_rim_of_a_sheet_that_was_entered_once(
+    real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path, starter: Lab
+) -> None:
+    real()
+    Inventory(tmp_path, starter.cell.cell).enter(StockEntry("sheet", "", used=2))
+    for asked in (1, 0):
+        operator = Answering(*["mounted"] * asked)
+        assert real(operator=operator, rim_mm=48.0)[0].exit_code in (0, 1)
+        assert len(operator.asked) == asked
 
 
 def test_a_run_goes_on_while_the_inventory_is_written(

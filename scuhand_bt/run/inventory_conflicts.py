@@ -23,6 +23,8 @@ PLAUSIBLE_SHARE = 0.05
 """A recipe's amount and the inventory's that differ by less are the same: of the larger, or what two scoops lose."""
 EMPTY_MG = 1.0
 """A cone or a mortar with less holds nothing."""
+MOUNTED_MM = 0.5
+"""A rim that is no farther from where a sheet is mounted is there."""
 
 Resolution = Callable[[Cell], None]
 
@@ -152,9 +154,28 @@ def _believe_source(name: str, mass_mg: float) -> Resolution:
     return believe
 
 
+def about_rim(cell: Cell, stock: Stock) -> list[Conflict]:
+    """An operator has entered a fresh sheet, and the roller has made something else of the last one that it knows."""
+    sheet, rim_mm = stock.get(("sheet", "")), cell.hand.cone_diameter_mm
+    if sheet is None or sheet.operator is None or sheet.powder or abs(rim_mm - _mounted_mm(cell.spec)) <= MOUNTED_MM:
+        return []
+    what = f"a fresh sheet was entered ({sheet.origin}), and by the roller its rim is {rim_mm:.0f} mm wide"
+    choices = f"{_mounted_mm(cell.spec):g} mm, as it is mounted, or {rim_mm:.0f} mm, to which it was rolled since"
+    question = f"A fresh sheet was entered. How wide is its rim: {choices}?"
+    return [Conflict(Mark("robot/cell.yaml"), what, question, (("mounted", _as_mounted), ("rolled", lambda _: None)))]
+
+
+def _mounted_mm(cell: CellSpec) -> float:
+    return cell.hand.options.start_diameter_mm
+
+
+def _as_mounted(cell: Cell) -> None:
+    """Whatever the roller has made of the sheet before."""
+    cell.hand.rim_is(_mounted_mm(cell.spec))
+
+
 def _fresh_sheet(cell: Cell) -> None:
-    """It is as wide as it is mounted, whatever the roller has made of the one before."""
-    cell.hand.rim_is(cell.spec.hand.options.start_diameter_mm)
+    _as_mounted(cell)
     cell.believed.sheet_swapped()
 
 
@@ -174,7 +195,7 @@ def _about_hand(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
         yield Conflict(mark, f"{what}; {needs}; empty it, and say so: scuhand-bt inventory set cone '0 mg'")
     if sheet is not None and sheet.powder and first is not None and sheet.lot_key != first.sheet_key:
         what = f"by the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
-        rim = f"its rim {cell.hand.options.start_diameter_mm:g} mm wide"
+        rim = f"its rim {_mounted_mm(cell):g} mm wide"
         question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now, {rim}?"
         yield Conflict(mark, f"{what}; {needs}", question, (("fresh", _fresh_sheet),))
 

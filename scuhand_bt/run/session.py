@@ -28,7 +28,7 @@ from scuhand_bt.run.cell_state import MotionRecord, state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
-from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
+from scuhand_bt.run.inventory_conflicts import about_rim, conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import set_up
 from scuhand_bt.run.observers import BatchObserver
@@ -292,8 +292,9 @@ class Session:
         """What has to be known of the cell before its first job."""
         if not self.cell.hand.knows_its_roller:
             yield from settle_roller(self.cell)
-        if self._conflicts:
-            yield from resolve(self.cell, self._conflicts)
+        yield from resolve(self.cell, self._conflicts)
+        if not self.cell.simulated:
+            yield from resolve(self.cell, about_rim(self.cell, self._records.stock))
         if self._is_taken_up:
             yield from settle_outage(self.journal, self.cell)
         else:
