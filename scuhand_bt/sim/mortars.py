@@ -12,9 +12,10 @@ from numpy.random import Generator
 
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.sim.cone_over import ConePose, Floats
-from scuhand_bt.sim.mass_ledger import CONE, RETURNED, SHEET, SPILLED, MassLedger, in_source
+from scuhand_bt.sim.mass_ledger import CONE, SHEET, SPILLED, MassLedger, in_source
 from scuhand_bt.sim.plain_state import Misplaced, Plain
 from scuhand_bt.sim.plant import Bed, Plant
+from scuhand_bt.sim.under_the_cone import into_mortar
 from scuhand_bt.specs import Source
 
 STICKING_SHARE = 0.02
@@ -90,9 +91,7 @@ class Mortars:
         if gained_mg >= 0.0:
             self._ledger.transfer(place, CONE, min(gained_mg, masses_mg[place]))
         else:
-            came_from = self._sources.get(of or name)
-            is_same = came_from is not None and came_from.sheet_key == self._sources[name].sheet_key
-            self._ledger.transfer(CONE, place if is_same else RETURNED, min(-gained_mg, masses_mg[CONE]))
+            self._ledger.transfer(CONE, into_mortar(self._sources, name, of), min(-gained_mg, masses_mg[CONE]))
         self._ledger.transfer(place, SPILLED, min(lost_mg, masses_mg[place]))
 
     def _bed(self, name: str) -> Bed:

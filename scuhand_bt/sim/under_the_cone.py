@@ -44,12 +44,20 @@ class Surroundings:
         for name, station in self._station_of.items():
             mortar = self._sources[name].mortar
             if aside_mm(station) <= mortar.bore_mm / 2.0:
-                came_from = self._sources.get(cone_source or name)
-                is_same = came_from is not None and came_from.sheet_key == self._sources[name].sheet_key
-                place = in_source(name) if is_same else RETURNED
+                place = into_mortar(self._sources, name, cone_source)
                 return place, fall_s(station.position_mm[2] + mortar.height_mm - mortar.depth_mm)
         for station in self._stations.values():
             if station.kind == "waste" and aside_mm(station) <= WASTE_RADIUS_MM:
                 place = in_vessel(station.name) if station.name in self._vessels else WASTE
                 return place, fall_s(station.position_mm[2])
         return SPILLED, fall_s(0.0)
+
+
+def into_mortar(sources: Mapping[str, Source], name: str, of: str | None) -> Compartment:
+    """Where powder of a source is that comes into the mortar of another one: in that only if it is of the same lot.
+
+    `of` is None while a fresh sheet is still in the mortar.
+    """
+    came_from = sources.get(of or name)
+    is_same = came_from is not None and came_from.sheet_key == sources[name].sheet_key
+    return in_source(name) if is_same else RETURNED
