@@ -58,9 +58,11 @@ def empty_at(cell: Cell, station: str) -> Steps[None]:
     """Empty the cone into the vessel at a station, from which nothing is scooped."""
     yield from open_to_let_out(cell)
     yield from cell.move_to(station)
-    held_mg, source = cell.believed.cone_mg, cell.believed.cone_source
+    held_mg, source = cell.believed.cone_mg, cell.sources[cell.believed.cone_source or ""]
+    _let_into(cell, station, source, 0.0)  # whatever comes of it, the vessel has that lot in it
     yield from empty_cone(cell)
-    cell.record.event(Discarded(expected_mg=held_mg, source=source, to=station))
+    _let_into(cell, station, source, held_mg)
+    cell.record.event(Discarded(expected_mg=held_mg, source=source.name, to=station))
 
 
 def is_over(cell: Cell, source: Source) -> bool:
@@ -143,6 +145,7 @@ def pour_rest(cell: Cell, source: Source) -> Steps[None]:
         return
     goes_to = vessel_for(cell, source) or source.station
     yield from cell.move_to(goes_to)
+    _let_into(cell, goes_to, source, 0.0)
     try:
         yield from _pour(cell, source, goes_to)
     except SkillFailed as failure:
@@ -166,6 +169,12 @@ def vessel_for(cell: Cell, source: Source) -> str | None:
     if source.leftover != "discard":
         return None
     return source.leftover_to or cell.spec.station_of_kind("waste").name
+
+
+def _let_into(cell: Cell, station: str, source: Source, mass_mg: float) -> None:
+    """Where it is a vessel's, so much of a source is in that one: neither a mortar nor the waste bin."""
+    if station in (vessel.name for vessel in cell.spec.vessels):
+        cell.believed.let_into(station, source, mass_mg)
 
 
 def _pour(cell: Cell, source: Source, station: str) -> Steps[None]:

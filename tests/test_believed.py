@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.believed_powder import InVessel
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.dosing.strokes import Layer
@@ -56,6 +57,8 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "source_holds": st.builds(lambda n, m: lambda b: b.source_holds(n, m), names, masses_mg),
     "scoops_bring": st.builds(lambda n, share: lambda b: b.scoops_bring(n, share), names, st.floats(-1.0, 3.0)),
     "cone_holds": st.builds(lambda s, m: lambda b: b.cone_holds(s, m), sources, masses_mg),
+    "vessel_holds": st.builds(lambda lot, m: lambda b: b.vessel_holds("jar", lot, m), st.none() | lots, masses_mg),
+    "let_into": st.builds(lambda s, m: lambda b: b.let_into("jar", s, m), sources, masses_mg),
     "touched": st.builds(lambda s: lambda b: b.touched(s), sources),
     "scooped": st.builds(lambda s, m: lambda b: b.scooped(s, m), sources, masses_mg),
     "emptied": st.just(Believed.emptied),
@@ -141,6 +144,18 @@ def test_no_sequence_of_verbs_breaks_an_invariant_and_a_refused_one_changes_noth
         holds_its_invariants(believed)
 
 
+def test_what_is_let_into_a_vessel_is_of_one_lot_until_that_is_empty() -> None:
+    believed = Believed()
+    believed.let_into("jar", BEADS, 300.0)
+    believed.let_into("jar", BEADS, 200.0)
+    with pytest.raises(ValueError, match="the vessel at 'jar' holds glass_beads/L7, and "):
+        believed.let_into("jar", SALT, 0.0)
+    assert believed.vessels["jar"] == InVessel(BEADS.sheet_key, 500.0)
+    believed.vessel_holds("jar", None, 0.0)
+    believed.let_into("jar", SALT, 0.0)
+    assert believed.vessels["jar"] == InVessel(SALT.sheet_key, 0.0)
+
+
 @pytest.mark.parametrize("name", [field.name for field in fields(Believed)])
 def test_nothing_but_a_verb_changes_what_is_believed(name: str) -> None:
     with pytest.raises(FrozenInstanceError):
@@ -217,6 +232,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "pan_empty_mg": 20_031.0,
         "pan_gross_mg": 20_031.0,
         "sources_mg": {"beads": 2000.0},
+        "vessels": {},
         "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0, "beside_mg": 0.0, "missed_mg": 0.0}},
         "has_closed": True,
         "dosing": {

@@ -105,6 +105,16 @@ def test_what_a_station_lacks_is_said(plan: Plan, offer: Offer, changes: dict[st
     assert lack.startswith(words)
 
 
+def test_a_station_lacks_the_vessel_for_leftovers_or_it_holds_another_lot(plan: Plan, offer: Offer) -> None:
+    beads = plan.recipe.sources["beads"].model_copy(update={"leftover": "discard", "leftover_to": "jar"})
+    needs = needs_of(replace(plan, recipe=replace(plan.recipe, sources={"beads": beads})), simulated=True)
+    assert missing(needs, offer) == ["it has no vessel 'jar'"]
+    has_jar = offer.model_copy(update={"names": {**offer.names, "vessel": ("waste", "jar")}})
+    assert missing(needs, has_jar) == []
+    others = has_jar.model_copy(update={"lots": {"jar": "glass_beads/GB-0"}})
+    assert missing(needs, others) == ["its jar holds glass_beads/GB-0, not glass_beads/GB-1"]
+
+
 def test_an_unattended_station_lacks_the_person_that_a_plan_needs(tmp_path: Path, offer: Offer) -> None:
     lab = make_lab(tmp_path / "lab")
     cell = (lab / "robot" / "cell.yaml").read_text().replace("driver: carousel, slots: 24", "driver: operator")

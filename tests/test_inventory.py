@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from running import Watching, dry_run, shared_planner
 
+from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
 from scuhand_bt.device_specs.balance import BalanceLimits
@@ -31,6 +32,7 @@ from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import Setup, set_up
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 
@@ -376,18 +378,28 @@ def real(tmp_path: Path, starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Calla
         return made
 
     def run(
-        recipe: str = RECIPE, operator: Answering | None = None, rim_mm: float = 90.0, **options: bool
+        recipe: str = RECIPE,
+        operator: Answering | None = None,
+        rim_mm: float = 90.0,
+        lab: Lab = lab,
+        goes_on: Session | None = None,
+        stop_at: int | None = None,
+        **options: bool,
     ) -> tuple[BatchResult, Session]:
         path = tmp_path / "recipe.yaml"
         path.write_text(recipe)
         plan = make_plan(load_recipe(path, lab), lab)
         given = Options(None, "paper", tmp_path / "runs", **options)
-        session = Session(plan, lab, given, shared_planner(plan, lab))
+        found = None
+        if goes_on is not None:
+            before = goes_on.journal.path
+            found = resumable(before, checked_history(before), plan, lab, accept_changes=True)
+        session = Session(plan, lab, given, shared_planner(plan, lab), resumes=found)
         if operator is not None:
             session.cell.operator = operator  # type: ignore[assignment]
         session.cell.hand.rim_is(rim_mm)
         try:
-            return session.run(Watching()), session
+            return session.run(Watching(session, stop_at)), session
         finally:
             session.close()
 
@@ -414,6 +426,44 @@ def test_a_real_run_asks_for_the_rim_of_a_sheet_that_was_entered_once(
         operator = Answering(*["mounted"] * asked)
         assert real(operator=operator, rim_mm=48.0)[0].exit_code in (0, 1)
         assert len(operator.asked) == asked
+
+
+def test_a_real_run_asks_before_another_lot_comes_to_what_earlier_runs_have_put_into_a_vessel(
+    real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path, starter: Lab
+) -> None:
+    def in_jar() -> StockEntry | None:
+        return Inventory(tmp_path, "starter").stock(simulated=False).get(("station", "jar"))
+
+    balance = starter.cell.balance.model_copy(update={"limits": BalanceLimits()})
+    jar = Station(name="jar", kind="waste", position_mm=(0.0, 320.0, 100.0))
+    stations = {**starter.cell.stations, "jar": jar}
+    lab = replace(starter, cell=starter.cell.model_copy(update={"balance": balance, "stations": stations}))
+    into_jar = RECIPE + "leftover: {to: jar}\n"
+    real(into_jar, lab=lab)
+    first = in_jar()
+    assert first is not None
+    assert (first.lot_key, (first.mass_mg or 0.0) > 1000.0) == ("glass_beads/L7", True)
+    Inventory(tmp_path, "starter").enter(powder(5000.0))
+    real(into_jar, Answering(), lab=lab)
+    second = in_jar()
+    assert second is not None
+    assert (second.mass_mg or 0.0) > (first.mass_mg or 0.0) + 1000.0, "of the same lot it is more and more"
+
+    Inventory(tmp_path, "starter").enter(powder(5000.0))
+    stopped = real(into_jar, Answering(), lab=lab, stop_at=150)[1]
+    Inventory(tmp_path, "starter").enter(StockEntry("station", "jar", "monosodium_glutamate", "", 3.0))
+    refused = "by the inventory the vessel 'jar' holds 3.0 mg of monosodium_glutamate (operator "
+    for goes_on in (None, stopped):
+        problems = problems_of(lambda one=goes_on: real(into_jar, lab=lab, unattended=True, goes_on=one))
+        (problem,) = (one for one in problems if one.startswith(f"7:11: {refused}"))
+        assert problem.endswith("what is left of glass_beads/L7 is to go there")
+    operator = Answering("emptied")
+    result, session = real(into_jar, operator, lab=lab, goes_on=stopped)
+    assert result.exit_code in (0, 1)
+    assert [choices for _, choices in operator.asked] == [("emptied", "stop")]
+    held = session.cell.believed.vessels["jar"]
+    assert held.lot == "glass_beads/L7"
+    assert 1000.0 < held.mass_mg < (first.mass_mg or 0.0) + 1000.0, "what was there before it was emptied is not there"
 
 
 def test_a_run_goes_on_while_the_inventory_is_written(
@@ -514,6 +564,23 @@ def test_what_cannot_be_meant_is_refused(inventory: Call, arguments: tuple[str, 
     assert code == 2
     assert said in error
     assert json.loads(inventory("inventory", "--json")[1]) == []
+
+
+def test_a_vessel_for_leftovers_has_its_entry_and_an_empty_one_has_no_lot(
+    inventory: Call, lab_folder: LabFolder
+) -> None:
+    assert "unknown thing 'jar'" in inventory("inventory", "set", "jar", "2 g", "--powder", "titanium_dioxide")[2]
+    lab_folder.replace(
+        "robot/cell.yaml", "  sheet_swap:", "  jar: {kind: waste, position: [0 mm, 320 mm, 100 mm]}\n  sheet_swap:"
+    )
+    assert (
+        inventory("inventory", "set", "jar", "2 g", "--powder", "titanium_dioxide")[1]
+        == "jar: 2.0000 g of titanium_dioxide\n"
+    )
+    assert inventory("inventory", "set", "jar", "0 g")[1] == "jar: 0.0 mg\n"
+    assert inventory("inventory", "set", "waste", "2 g", "--powder", "titanium_dioxide")[0] == 2, (
+        "the bin is of all lots"
+    )
 
 
 def test_less_than_nothing_is_refused(inventory: Call) -> None:

@@ -103,6 +103,7 @@ def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_
     masses_mg = world.masses_mg
     assert masses_mg["vessel:jar"] == pytest.approx(sum(cast(float, one["expected_mg"]) for one in gone), rel=0.15)
     assert masses_mg["waste"] < 1.0, "the jar's powder is not the bin's"
+    assert believed.vessels["jar"].mass_mg == pytest.approx(sum(cast(float, one["expected_mg"]) for one in gone))
     put_mg = masses_mg["vessel:jar"] + masses_mg["container:a"] + masses_mg["container:b"] + masses_mg["sheet"]
     assert masses_mg["source:beads"] == pytest.approx(20_000.0 - put_mg, abs=1.0)
 

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from running import make_lab, shared_planner
 
+from scuhand_bt.cell.believed_powder import InVessel
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, places
@@ -254,10 +256,12 @@ def test_what_a_dose_that_gave_out_has_left_in_the_cone_is_poured_into_the_morta
     assert not cell.believed.has_rest
 
 
+@pytest.mark.parametrize("is_vessel", [False, True])
 def test_what_such_a_dose_has_left_goes_to_waste_before_the_next_scoop_where_leftovers_do(
-    starter: Lab, motion: MotionPlanner
+    starter: Lab, motion: MotionPlanner, monkeypatch: pytest.MonkeyPatch, is_vessel: bool
 ) -> None:
     """A chemist who discards wants nothing that was in the cone back in the mortar."""
+    monkeypatch.setattr(CellSpec, "vessels", property(lambda spec: [spec.stations["waste"]] * is_vessel))
     bench, source = scooping_bench(starter, motion)
     source, cell = source.model_copy(update={"leftover": "discard"}), bench.cell
     cell.sources = {"beads": source}
@@ -267,9 +271,31 @@ def test_what_such_a_dose_has_left_goes_to_waste_before_the_next_scoop_where_lef
     cell.believed.gave_out(is_short=False)
     before_mg = bench.world.masses_mg["waste"]
     bench.do(starter.library.skills["scoop"](source=source).run(cell))
-    assert bench.world.masses_mg["waste"] - before_mg == pytest.approx(60.0, abs=1.0)
+    assert bench.world.masses_mg["vessel:waste" if is_vessel else "waste"] - before_mg == pytest.approx(60.0, abs=1.0)
+    touched = {"waste": InVessel(source.sheet_key, 0.0)} if is_vessel else {}
+    assert cell.believed.vessels == touched, "of how much nobody knows"
     assert bench.world.masses_mg["spilled"] == 0.0
     assert not cell.believed.has_rest
+
+
+def test_a_vessel_that_a_cone_was_not_emptied_into_to_the_end_is_known_to_hold_that_lot(
+    starter: Lab, motion: MotionPlanner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(CellSpec, "vessels", property(lambda spec: [spec.stations["waste"]]))
+    bench, source = scooping_bench(starter, motion)
+    cell, source = bench.cell, source.model_copy(update={"leftover": "discard"})
+    cell.sources = {"beads": source}
+    cell.believed.scooped(source, 3000.0)
+
+    def broken(*_: object, **__: object) -> Steps[None]:
+        raise SkillFailed(Code.HAND_CONE_EMPTY, "a stall")
+        yield
+
+    monkeypatch.setattr(type(cell.hand), "pulse", broken)
+    with pytest.raises(SkillFailed):
+        bench.do(starter.library.skills["return_leftover"](source=source).run(cell))
+    assert cell.believed.vessels == {"waste": InVessel(source.sheet_key, 0.0)}
+    assert cell.believed.cone_mg == 3000.0
 
 
 @pytest.mark.parametrize("after_s", [2.5, 3.5, 4.5])

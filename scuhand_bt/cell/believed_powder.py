@@ -16,6 +16,19 @@ Masses: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
 """Masses [mg], or shares of such, by name; read-only, as the rest of what is believed."""
 Layers: TypeAlias = Annotated[Mapping[str, Layer], READ_ONLY, AS_WRITTEN]
 
+
+@dataclass(frozen=True)
+class InVessel:
+    """What a vessel for leftovers holds."""
+
+    lot: str | None = None
+    """The powder lot (`Source.sheet_key`) that was let into it; None where it is empty."""
+    mass_mg: float = 0.0
+    """Rests that nobody could know the mass of are not in it."""
+
+
+Vessels: TypeAlias = Annotated[Mapping[str, InVessel], READ_ONLY, AS_WRITTEN]
+
 BARREN_LOADS = 2
 """So many barren loads in a row, and a source is not scooped from any more: it is empty, or nothing gets out of the
 cone."""
@@ -48,6 +61,8 @@ class BelievedPowder:
     sources_mg: Masses = field(default_factory=lambda: MappingProxyType({}))
     layers: Layers = field(default_factory=lambda: MappingProxyType({}))
     """By source, what the last stroke has left on the mortar's wall; none for a bed that nothing was scooped from."""
+    vessels: Vessels = field(default_factory=lambda: MappingProxyType({}))
+    """By station, what the vessels for leftovers hold, as far as that is known; the waste bin is none of them."""
 
     @property
     def seen_yields(self) -> Masses:
@@ -111,6 +126,17 @@ class BelievedPowder:
     def emptied(self) -> None:
         """Everything has been let out of the cone."""
         self._set(cone_mg=0.0, cone_source=None, has_rest=False, load=Load(), is_load_doubted=False)
+
+    def vessel_holds(self, station: str, lot: str | None, mass_mg: float) -> None:
+        """So much of a lot is in the vessel at a station: what the inventory or an operator says. None: it is empty."""
+        self._set(vessels={**self.vessels, station: InVessel(lot, mass(mass_mg))})
+
+    def let_into(self, station: str, source: Source, mass_mg: float) -> None:
+        """So much of a source is let into the vessel at a station. ValueError where another lot is in it."""
+        held = self.vessels.get(station, InVessel())
+        if held.lot not in (None, source.sheet_key):
+            raise ValueError(f"the vessel at '{station}' holds {held.lot}, and {source.sheet_key} is let into it")
+        self.vessel_holds(station, source.sheet_key, held.mass_mg + mass(mass_mg))
 
     def cone_spilled(self) -> None:
         """The arm was limp: nobody knows what is left in the cone. Nothing is counted on, and it is let out first."""

@@ -52,7 +52,8 @@ def inventory(
 def set_entry(
     context: typer.Context,
     what: Annotated[
-        str, typer.Argument(help="A mortar station, cone, sheet, changer, changer/KIND, or a container's kind.")
+        str,
+        typer.Argument(help="A mortar's or vessel's station, cone, sheet, changer, changer/KIND, a container's kind."),
     ],
     value: Annotated[str, typer.Argument(help="A mass (12 g); of the sheet: fresh, touched; else how many are used.")],
     powder: PowderOption = None,
@@ -68,6 +69,7 @@ def set_entry(
 
     loaded = the_lab(lab or context.obj)
     stations = [station.name for station in loaded.cell.stations.values() if station.kind == "mortar"]
+    vessels = [station.name for station in loaded.cell.vessels]
     if powder is not None and powder not in loaded.library.powders:
         raise unknown("powder", powder, loaded.library.powders)
     kind: StockKind
@@ -81,14 +83,16 @@ def set_entry(
         kind, name = "changer", of_changer
     elif what in ("cone", "sheet", "changer"):
         kind, name = what, ""  # type: ignore[assignment]
-    elif what in stations:
+    elif what in (*stations, *vessels):
         kind, name = "station", what
     elif what in loaded.library.containers:
         kind, name = "container", what
     else:
-        raise unknown("thing", what, ["cone", "sheet", "changer", *stations, *loaded.library.containers])
+        raise unknown("thing", what, ["cone", "sheet", "changer", *stations, *vessels, *loaded.library.containers])
     kept = _inventory(loaded)
     entry = _entry(kind, name, value, powder, lot, kept.stock(simulated=False))
+    if what in vessels and entry.mass_mg == 0.0:
+        entry = replace(entry, powder="", lot="")
     slots = changer.slots_for(name) if name else changer.slot_count
     if kind == "changer" and changer.driver != "operator" and (entry.used or 0) > slots:
         what = f"'{value}' is more than the changer's {slots} slots; write 0 to {slots}"

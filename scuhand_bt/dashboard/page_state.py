@@ -147,6 +147,8 @@ def _holds(run: RunBegun, believed: Mapping[str, Any]) -> Iterator[tuple[str, st
         yield f"source {name}", f"{format_mass(mass_mg)}{of}"
     of = f" from {believed['cone_source']}" if believed["cone_source"] else ""
     yield "cone", f"{format_mass(believed['cone_mg'])}{of}"
+    for station, held in believed.get("vessels", {}).items():
+        yield f"vessel {station}", format_mass(held["mass_mg"]) + (f" of {held['lot']}" if held["lot"] else "")
     pan = believed["pan"]
     yield "pan", f"{pan['id']} ({pan['name']})" if pan else "nothing that is known"
     yield (

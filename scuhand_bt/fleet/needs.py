@@ -15,7 +15,7 @@ from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.run.inventory_conflicts import EMPTY_MG
 
-Kind = Literal["powder", "container", "mortar", "workflow", "mortar station"]
+Kind = Literal["powder", "container", "mortar", "workflow", "mortar station", "vessel"]
 
 
 class Needs(BaseModel):
@@ -26,7 +26,7 @@ class Needs(BaseModel):
     simulated: bool
     names: Mapping[Kind, tuple[str, ...]]
     lots: Mapping[str, str]
-    """The powder lot (`Source.sheet_key`) at each station of a mortar."""
+    """The powder lot (`Source.sheet_key`) at each station of a mortar, and that comes into a vessel for leftovers."""
     heaviest_mg: float
     """What stands on the balance at the most."""
     tolerance_mg: float | None
@@ -53,6 +53,7 @@ class Offer(BaseModel):
 def needs_of(plan: Plan, *, simulated: bool) -> Needs:
     """What this plan needs."""
     samples, sources = plan.recipe.samples, plan.recipe.sources.values()
+    into = {source.leftover_to: source.sheet_key for source in sources if source.leftover_to}
     containers = [one for sample in samples for one in sample.all_containers]
     filled = {
         one.id: one.empty_mass_mg + sum(pour.mass_mg or 0.0 for pour in sample.filled.get(one.id, ()))
@@ -67,8 +68,9 @@ def needs_of(plan: Plan, *, simulated: bool) -> Needs:
             "mortar": _sorted(source.mortar.name for source in sources),
             "workflow": _sorted(job.workflow for job in plan.jobs),
             "mortar station": _sorted(source.station for source in sources),
+            "vessel": _sorted(into),
         },
-        lots={source.station: source.sheet_key for source in sources},
+        lots={source.station: source.sheet_key for source in sources} | into,
         heaviest_mg=max(filled.values(), default=0.0),
         tolerance_mg=min((one for sample in samples if (one := sample.least_tolerance_mg)), default=None),
         person=next((str(person) for person in plan.persons), ""),
@@ -90,6 +92,7 @@ def offer_of(lab: Lab, *, simulated: bool, unattended: bool) -> Offer:
             "mortar": _sorted(library.mortars),
             "workflow": _sorted(library.workflows),
             "mortar station": _sorted(one.name for one in lab.cell.stations.values() if one.kind == "mortar"),
+            "vessel": _sorted(one.name for one in lab.cell.stations.values() if one.kind == "waste"),
         },
         lots=holds,
         maximum_mg=lab.cell.balance.maximum_mg,
@@ -107,7 +110,7 @@ def _missing(needs: Needs, offer: Offer) -> Iterator[str]:
         yield "it is a simulated one" if offer.simulated else "it is a real one, and simulated devices are asked for"
     for kind, names in needs.names.items():
         for name in names:
-            if name not in offer.names[kind]:
+            if name not in offer.names.get(kind, ()):
                 yield f"it has no {kind} '{name}'"
     for station, lot in needs.lots.items():
         if (holds := offer.lots.get(station, lot)) != lot:

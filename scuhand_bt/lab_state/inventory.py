@@ -28,9 +28,9 @@ class StockEntry:
 
     kind: StockKind
     name: str = ""
-    """The station, or the kind of container; of the changer, the kind that has slots of its own."""
+    """The station of a mortar or a vessel, or the kind of container; of the changer, one that has slots of its own."""
     powder: str = ""
-    """At a station or in the cone; what the sheet has touched, "" for a fresh one."""
+    """At a station or in the cone; what the sheet has touched. "" for a fresh one, and what is empty."""
     lot: str = ""
     mass_mg: float | None = None
     used: int | None = None
@@ -174,6 +174,9 @@ def _believed(cell: Cell) -> Iterator[StockEntry]:
         yield StockEntry("cone", mass_mg=0.0)
     else:
         yield StockEntry("cone", "", source_of_cone.powder.name, source_of_cone.lot, mass_mg=believed.cone_mg)
+    for station, held in believed.vessels.items():
+        powder, _, lot = (held.lot or "").partition("/")
+        yield StockEntry("station", station, powder, lot, mass_mg=held.mass_mg)
     powder, _, lot = (believed.sheet or "").partition("/")
     yield StockEntry("sheet", "", powder, lot, used=believed.sheets_used)
     if not cell.changer.needs_person:

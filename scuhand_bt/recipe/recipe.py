@@ -66,7 +66,7 @@ class Recipe:
     """So many samples in a row that overshot stop the batch; 0: none does."""
     marks: Mapping[str, Mark]
     """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `samples.ID.KEY`,
-    `on_failure.CODE`."""
+    `on_failure.CODE`, `leftover`."""
 
     @property
     def hash(self) -> str:
@@ -150,7 +150,9 @@ class _Reader:
         if controller is not None:
             self._check_controller(controller, root.values["controller"].mark)
         sources = SourcesReader(self.lab, self.problems, self.source_marks, self.marks).read(root.get("sources"))
-        sources = with_leftover(sources, root.get("leftover"), self.lab.cell, self.problems)
+        if (leftover := root.get("leftover")) is not None:
+            self.marks["leftover"] = leftover.mark
+        sources = with_leftover(sources, leftover, self.lab.cell, self.problems)
         reader = SamplesReader(self.lab, self.path.parent, self.problems, self.source_marks, self.marks)
         samples = reader.read(root, sources)
         needed = [

@@ -48,7 +48,12 @@ class Conflict:
 
 def conflicts(plan: Plan, cell: CellSpec, stock: Stock) -> list[Conflict]:
     """All that the inventory has against this plan."""
-    return [*_about_sources(plan, stock), *_about_hand(plan, cell, stock), *_about_changer(plan, cell, stock)]
+    return [
+        *_about_sources(plan, stock),
+        *about_vessels(plan, stock),
+        *_about_hand(plan, cell, stock),
+        *_about_changer(plan, cell, stock),
+    ]
 
 
 def require_resolvable(found: Sequence[Conflict], *, unattended: bool) -> None:
@@ -65,6 +70,9 @@ def recall(cell: Cell, stock: Stock) -> None:
         known = stock.get(("station", source.station))
         if known is not None and known.lot_key == source.sheet_key:
             believed.source_holds(name, known.mass_mg or 0.0)
+    for vessel in cell.spec.vessels:
+        if (held := stock.get(("station", vessel.name))) is not None:
+            believed.vessel_holds(vessel.name, held.lot_key or None, held.mass_mg or 0.0)
     if (sheet := stock.get(("sheet", ""))) is not None:
         believed.sheet_is(sheet.lot_key or None, sheet.used or 1)
     cone = stock.get(("cone", ""))
@@ -152,6 +160,27 @@ def _believe_source(name: str, mass_mg: float) -> Resolution:
         cell.believed.source_holds(name, mass_mg)
 
     return believe
+
+
+def about_vessels(plan: Plan, stock: Stock) -> Iterator[Conflict]:
+    """What is left would come to powder of another lot, of an earlier run or of one since this was interrupted."""
+    for source in (demand.source for demand in plan.demands):
+        station = source.leftover_to
+        held = stock.get(("station", station))
+        if held is None or not held.powder or held.lot_key == source.sheet_key:
+            continue
+        what = f"by the inventory the vessel '{station}' holds {held.in_words} of {held.lot_key} ({held.origin})"
+        what = f"{what}; what is left of {source.sheet_key} is to go there"
+        question = f"The vessel '{station}' holds {held.lot_key}. Has it been emptied and cleaned, or changed?"
+        yield Conflict(plan.recipe.marks["leftover"], what, question, (("emptied", _vessel_emptied(station)),))
+        return  # a recipe sends one lot into one vessel
+
+
+def _vessel_emptied(station: str) -> Resolution:
+    def emptied(cell: Cell) -> None:
+        cell.believed.vessel_holds(station, None, 0.0)
+
+    return emptied
 
 
 def about_rim(cell: Cell, stock: Stock) -> list[Conflict]:

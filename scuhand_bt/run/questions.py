@@ -25,6 +25,7 @@ MEANINGS: Mapping[str, str] = {
     "recipe": "the source holds what the recipe says",
     "inventory": "the source holds what the inventory says",
     "fresh": "a fresh sheet is in the hand",
+    "emptied": "nothing of what was in the vessel is in it",
     "filled": "every slot of the changer holds a container again",
 }
 """What an answer says, and what then happens; a lab's skill may offer others, which its question explains."""

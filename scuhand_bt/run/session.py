@@ -28,7 +28,15 @@ from scuhand_bt.run.cell_state import MotionRecord, state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
-from scuhand_bt.run.inventory_conflicts import about_rim, conflicts, corrections, recall, require_resolvable, resolve
+from scuhand_bt.run.inventory_conflicts import (
+    about_rim,
+    about_vessels,
+    conflicts,
+    corrections,
+    recall,
+    require_resolvable,
+    resolve,
+)
 from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import set_up
 from scuhand_bt.run.observers import BatchObserver
@@ -91,7 +99,8 @@ class Session:
         self.notices = self._records.notices
         self._person = options.person or Person(user_name())
         self.control.at_terminal = Who(self._person.name)
-        self._conflicts = [] if self._is_taken_up else conflicts(plan, lab.cell, self._records.stock)
+        stock = self._records.stock
+        self._conflicts = [*about_vessels(plan, stock)] if self._is_taken_up else conflicts(plan, lab.cell, stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
         with ExitStack() as opened:
             self._holds = opened.enter_context(ExitStack())
