@@ -400,6 +400,30 @@ def test_jobs_are_run_once_each_and_marked_from_their_journals_and_one_that_cann
     assert "job 2: succeeded: done (2 in tolerance)" in said
 
 
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_station_that_is_a_real_one_now_runs_no_dry_run_that_waits_for_it_and_a_simulated_one_nothing_else(
+    database: str, tmp_path: Path, simulated: bool
+) -> None:
+    """By the name of its cell a station has both: what was queued for a dry run moved the cell."""
+    lab = make_lab(tmp_path / "lab")
+    order = submission_of(plan_of(lab), simulated=not simulated)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            station = Station(queue, lab, "here", Manner(simulated, operator="Ada"), print, look_s=0.1)
+            await queue.submit([but(order, stations=("here",))])
+            (job,) = await works(station, queue, all_over)
+            assert (job.status, job.run) == ("failed", "")
+            assert job.said == (
+                "it did not begin: it is of the cell, and its station is a simulated one now"
+                if simulated
+                else "it did not begin: it is of simulated devices, and its station is a real one now"
+            )
+
+    run(check())
+    assert journals(lab) == []
+
+
 def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then_marked(
     database: str, tmp_path: Path
 ) -> None:

@@ -177,6 +177,10 @@ class Station:
         if self._child is not None:
             said = log.read_text(encoding="utf-8", errors="replace").strip()[-LAST_WORDS:]
             return await self._over(taken, Status.FAILED, "", f"it did not begin: {said}")
+        if order.simulated != self._manner.simulated:  # it was queued for what this station was, by the same name
+            of, here = ("simulated devices", "a real one") if order.simulated else ("the cell", "a simulated one")
+            what = f"it did not begin: it is of {of}, and its station is {here} now"
+            return await self._over(taken, Status.FAILED, "", what)
         if self._is_leaving.is_set():
             return False
         try:
