@@ -191,6 +191,18 @@ def test_a_table_elsewhere_is_refused_by_who_submits_and_by_who_would_write_it(t
             write({name: ""}, tmp_path / "there")
 
 
+@pytest.mark.parametrize("table", ["tables/../t.csv", "{lab}/t.csv"])
+def test_a_table_that_no_station_would_write_is_refused_before_its_recipe_is_queued(tmp_path: Path, table: str) -> None:
+    """It is beside its recipe, but the station's copy would not find it there: the job failed in the night."""
+    lab = make_lab(tmp_path / "lab")
+    (lab / "tables").mkdir()
+    (lab / "t.csv").write_text("id,mass\nb,30 mg\n")
+    text = RECIPE.format(count=1).replace("samples: [", f"samples: [{{table: {table.format(lab=lab)}}}, ")
+    plan = plan_of(lab, text=text)
+    with pytest.raises(SourceError, match=r"queued.yaml:6:\d+: .* from its own folder on"):
+        submission_of(plan, simulated=True)
+
+
 # --- the queue
 
 

@@ -53,7 +53,7 @@ class Submission:
 
 
 def submission_of(plan: Plan, *, simulated: bool, seed: int = 0) -> Submission:
-    """A plan to be submitted; no station is chosen yet. SourceError for a table outside of the recipe's folder."""
+    """A plan to be submitted; no station is chosen yet. SourceError for a table that cannot go with its recipe."""
     recipe = plan.recipe
     names = [recipe.path.name, *_tables(plan)]
     files = {name: base64.b64encode((recipe.path.parent / name).read_bytes()).decode() for name in names}
@@ -73,11 +73,16 @@ def submission_of(plan: Plan, *, simulated: bool, seed: int = 0) -> Submission:
 def write(files: Files, folder: Path) -> None:
     """The files, into this folder. SourceError for a path that leads out of it."""
     for name, content in files.items():
-        path = PurePosixPath(name)
-        if path.is_absolute() or ".." in path.parts:
+        if not _is_within(name):
             raise SourceError([Problem(Mark(name), "a table of a queued recipe is in the recipe's own folder")])
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        (folder / path).write_bytes(base64.b64decode(content))
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(base64.b64decode(content))
+
+
+def _is_within(name: str) -> bool:
+    """Whether a path leads nowhere but into the folder that it is given in, whatever that folder is."""
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts
 
 
 def _tables(plan: Plan) -> Iterator[str]:
@@ -87,5 +92,8 @@ def _tables(plan: Plan) -> Iterator[str]:
         name = table.text or ""
         if not (path.parent / name).resolve().is_relative_to(path.parent.resolve()):
             what = "a recipe goes to the queue with its own folder only: put the table beside it"
+            raise SourceError([Problem(table.mark, what)])
+        if not _is_within(name):
+            what = "a queued recipe names its tables from its own folder on: write one without '..' and a leading '/'"
             raise SourceError([Problem(table.mark, what)])
         yield name
