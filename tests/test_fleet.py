@@ -389,7 +389,9 @@ def test_jobs_are_run_once_each_and_marked_from_their_journals_and_one_that_cann
     database: str, tmp_path: Path
 ) -> None:
     lab, said = make_lab(tmp_path / "lab"), list[str]()
-    good, bad = plan_of(lab), plan_of(lab, "bad.yaml")
+    (lab / "output.txt").write_text("id,mass\nb,30 mg\n")  # its name was that of what the run says
+    text = RECIPE.format(count=1).replace("samples: [", "samples: [{table: output.txt}, ")
+    good, bad = plan_of(lab, text=text), plan_of(lab, "bad.yaml")
 
     async def check() -> None:
         async with open_queue(database) as queue:

@@ -171,7 +171,8 @@ class Station:
 
     async def _not_begun(self, taken: Taken, order: Order) -> bool:
         """Nothing has moved for it: it begins, unless it was refused, or is not wanted any more."""
-        log = self._orders / order.key / "output.txt"
+        folder = self._orders / order.key
+        log = folder.with_suffix(".txt")  # not in there: a table may have any name
         if taken.job.abort_requested:
             return await self._over(taken, Status.ABORTED, "", "cancelled before it began")
         if self._child is not None:
@@ -184,13 +185,13 @@ class Station:
         if self._is_leaving.is_set():
             return False
         try:
-            write(await self._queue.files(order), log.parent)
+            write(await self._queue.files(order), folder)
         except (OSError, SourceError) as error:
             return await self._over(taken, Status.FAILED, "", f"it did not begin: {error}")
         how = ["--dry-run", "--seed", str(order.seed)] if self._manner.simulated else []
         how += ["--unattended"] if self._manner.unattended else []
         self._say(f"job {taken.id}: {order.recipe} begins")
-        await self._start(log, "run", str(log.parent / order.file), *how)
+        await self._start(log, "run", str(folder / order.file), *how)
         return False
 
     async def _has_begun(self, taken: Taken, journal: Path) -> bool:
