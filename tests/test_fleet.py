@@ -571,6 +571,23 @@ def test_commands_submit_list_and_cancel(database: str, tmp_path: Path, command:
     assert "no stations" in command("fleet", "--forget", "here", *where).stdout
 
 
+def test_a_station_of_another_version_is_listed_and_gets_no_jobs(
+    database: str, tmp_path: Path, command: Call, offer: Offer, order: Submission
+) -> None:
+    """What an earlier one has written stays in the queue: every `submit` and `fleet` ended in a traceback."""
+
+    async def enrol() -> None:
+        async with enrolled(database, offer, "older") as queue:
+            await queue._database.execute_query_async('UPDATE scuhand_stations SET offer = \'{"cell": "c"}\'')
+            with pytest.raises(SourceError, match="no station can do it: at older another version of scuhand-bt works"):
+                choose([order], await queue.stations())
+
+    run(enrol())
+    assert "of another version" in command("fleet", "--database", database).stdout
+    (one,) = json.loads(command("fleet", "--json", "--database", database).stdout)
+    assert (one["name"], one["offer"]) == ("older", None)
+
+
 def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
     code, _, err = command("station")
     assert code == 2

@@ -18,6 +18,7 @@ from scuhand_bt.quantity import format_duration
 
 if TYPE_CHECKING:
     from scuhand_bt.fleet import KnownStation, QueuedJob
+    from scuhand_bt.fleet.needs import Offer
 
 T = TypeVar("T")
 DatabaseOption = Annotated[
@@ -163,15 +164,20 @@ def fleet(
     if not is_gone:
         raise typer.BadParameter(f"'{forget}' has jobs, or is none of the stations", param_hint="--forget")
     if as_json:
-        print_json([{**asdict(one), "offer": one.offer.model_dump(mode="json")} for one in found])
+        offers = [one.offer.model_dump(mode="json") if one.offer is not None else None for one in found]
+        print_json([{**asdict(one), "offer": offer} for one, offer in zip(found, offers, strict=True)])
         return
     table = Table("station", "cell", "heard of", "jobs", "before it", "state", show_edge=False)
     for one in found:
         heard = "now" if one.is_there else f"{format_duration(one.silent_s)} ago"
-        cell = f"{one.offer.cell} (SIMULATED)" if one.offer.simulated else one.offer.cell
+        cell = _cell_of(one.offer) if one.offer is not None else "of another version"
         ahead = format_duration(one.ahead_s) if one.jobs else ""
         table.add_row(one.name, cell, heard, str(one.jobs), ahead, one.state if one.is_there else f"was: {one.state}")
     out.print(table if found else "There are no stations.")
+
+
+def _cell_of(offer: "Offer") -> str:
+    return f"{offer.cell} (SIMULATED)" if offer.simulated else offer.cell
 
 
 def _require_fleet() -> None:

@@ -76,7 +76,8 @@ class KnownStation:
     """A station as it was last heard of, and what it has before it."""
 
     name: str
-    offer: Offer
+    offer: Offer | None
+    """None for one of another version."""
     state: str
     silent_s: float
     jobs: int
@@ -129,7 +130,7 @@ def choose(submitted: Sequence[Submission], known: Sequence[KnownStation], only:
     ahead_s = {station.name: station.ahead_s for station in stations}
     chosen, problems = [], []
     for one in submitted:
-        order, lacks = one.order, {station.name: missing(one.needs, station.offer) for station in stations}
+        order, lacks = one.order, {station.name: _lacks(station, one) for station in stations}
         able = [station for station in stations if not lacks[station.name]]
         if not able:
             what = "no station can do it" if stations else "there is no station" if only is None else "no such station"
@@ -144,6 +145,12 @@ def choose(submitted: Sequence[Submission], known: Sequence[KnownStation], only:
     if problems:
         raise SourceError(problems)
     return chosen
+
+
+def _lacks(station: KnownStation, one: Submission) -> list[str]:
+    if station.offer is None:
+        return ["another version of scuhand-bt works"]
+    return missing(one.needs, station.offer)
 
 
 class Queue:
@@ -174,7 +181,7 @@ class Queue:
     async def stations(self) -> list[KnownStation]:
         """All that were ever heard of."""
         rows = await self._database.execute_query_all_async(_KNOWN)
-        return [KnownStation(**{**row, "offer": Offer.model_validate(row["offer"])}) for row in rows]
+        return [KnownStation(**{**row, "offer": _offered(row["offer"])}) for row in rows]
 
     async def jobs(self, *, every: bool, limit: int) -> list[QueuedJob]:
         """The newest first; those that wait or are run, or also those that are over."""
@@ -294,6 +301,13 @@ async def _make_tables(connection: "psycopg.AsyncConnection[Any]") -> None:
             await connection.execute(_STATIONS)
         if not await is_there("scuhand_open_jobs"):
             await connection.execute(_LOCKED_WHEN_TAKEN)
+
+
+def _offered(written: dict[str, Any]) -> Offer | None:
+    try:
+        return Offer.model_validate(written)
+    except ValidationError:
+        return None
 
 
 def _taken(job: Job) -> Taken:
