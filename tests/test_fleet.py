@@ -518,6 +518,67 @@ def test_a_lab_has_one_station_and_a_name_one_lab(database: str, tmp_path: Path)
     run(check())
 
 
+def test_a_station_that_has_jobs_takes_none_under_another_name(database: str, tmp_path: Path, offer: Offer) -> None:
+    """A run that was killed held back the others of its cell only until the station was called otherwise."""
+    lab = make_lab(tmp_path / "lab")
+    order = submission_of(plan_of(lab), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("one",))])
+            station = Station(queue, lab, "one", Manner(simulated=True), print, look_s=0.1)
+            other = Station(queue, lab, "two", Manner(simulated=True), print, look_s=0.1)
+            assert await queue.take("one") is not None
+            (lab / ".scuhand" / "queue").mkdir(parents=True)
+            (lab / ".scuhand" / "queue" / "identity").write_text('"of the lab"')
+            assert await queue.enrol("one", "of the lab", offer)
+            with pytest.raises(SourceError, match="this lab's station has jobs as 'one': begin it with --name 'one'"):
+                await other.work()
+            await works(station, queue, all_over)
+            await works(other, queue, lambda jobs: True)
+
+    run(check())
+
+
+def test_an_idle_station_says_anew_what_its_cell_has(
+    database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mortar that was filled since, a powder that was added: none of it was known before the next job had been run.
+
+    And one that was forgotten while it works is there again; one whose lab is broken just then goes on.
+    """
+    lab, said = make_lab(tmp_path / "lab"), list[str]()
+    monkeypatch.setattr("scuhand_bt.fleet.station.IDLE_LOOKS", 2)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            station = Station(queue, lab, "here", Manner(operator="Ada"), said.append, look_s=0.05)
+
+            async def lots() -> dict[str, str]:
+                return {key: lot for one in await queue.stations() if one.offer for key, lot in one.offer.lots.items()}
+
+            working = asyncio.ensure_future(station.work())
+            while "waits for a job" not in said:
+                await asyncio.sleep(0.05)
+            assert await lots() == {}
+            assert await queue.forget("here")
+            cell = lab / "robot" / "cell.yaml"
+            text = cell.read_text()
+            cell.write_text(text.replace("cell: starter", "cell: [starter"))
+            while not any(line.startswith("the lab is broken: ") for line in said):
+                await asyncio.sleep(0.05)
+            cell.write_text(text)
+            Inventory(lab / ".scuhand", "starter").enter(
+                StockEntry("station", "mortar_bay", "glass_beads", "GB-7", 5e3)
+            )
+            while await lots() != {"mortar_bay": "glass_beads/GB-7"}:
+                await asyncio.sleep(0.05)
+            station.leave()
+            await working
+
+    run(check())
+
+
 @pytest.mark.slow
 def test_a_run_goes_on_and_is_marked_while_the_database_is_away(
     postgres: Server, database: str, tmp_path: Path

@@ -200,6 +200,13 @@ class Queue:
 
     # --- a station
 
+    async def other_names(self, name: str, identity: str) -> list[str]:
+        """Under which this station has jobs beside its name of now."""
+        query = """SELECT name FROM scuhand_stations WHERE identity = %(identity)s AND name <> %(name)s AND EXISTS (
+            SELECT FROM procrastinate_jobs WHERE queue_name = name AND status IN ('todo', 'doing')) ORDER BY name"""
+        rows = await self._database.execute_query_all_async(query, name=name, identity=identity)
+        return [row["name"] for row in rows]
+
     async def enrol(self, name: str, identity: str, offer: Offer) -> bool:
         """What this station has now; False where another one has its name."""
         named = {"name": name, "identity": identity, "offer": Jsonb(offer.model_dump(mode="json"))}

@@ -28,7 +28,7 @@ from scuhand_bt.journal.presence import Held, Presence, is_held
 from scuhand_bt.journal.reader import open_journal
 from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.store import read_only
-from scuhand_bt.lab import load_lab, state_folder
+from scuhand_bt.lab import Lab, load_lab, state_folder
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.run.control import say_wish
 from scuhand_bt.run.holds import CELL
@@ -36,7 +36,7 @@ from scuhand_bt.run.holds import CELL
 LOOK_S = 2.0
 """How often a station looks at its queue and its run."""
 IDLE_LOOKS = 10
-"""So many looks an idle station waits before it takes over what waits elsewhere."""
+"""So many looks an idle station waits before it says anew what it has, and takes over what waits elsewhere."""
 LAST_WORDS = 600
 """Characters of what a refused run has said."""
 
@@ -86,7 +86,8 @@ class Station:
             return
         with presence:
             self._lock = presence
-            await self._enrol()
+            await self._require_one_name()
+            await self._enrol(load_lab(self._lab))
             while True:
                 try:
                     goes_on = await self._look()
@@ -113,9 +114,15 @@ class Station:
                 await self._wait()
         return None
 
-    async def _enrol(self) -> None:
-        """Say what the cell has now; the lab is read anew, so that a broken one takes no job."""
-        manner, lab = self._manner, load_lab(self._lab)
+    async def _require_one_name(self) -> None:
+        """SourceError where jobs of this station wait under another name: one may hold back all others of this cell."""
+        for name in await self._queue.other_names(self.name, _identity(self._orders / "identity")):
+            what = f"this lab's station has jobs as '{name}': begin it with --name '{name}', or cancel those before"
+            raise SourceError([Problem(Mark(str(self._lab), 0), what)])
+
+    async def _enrol(self, lab: Lab) -> None:
+        """Say what the cell has now."""
+        manner = self._manner
         offer = offer_of(lab, simulated=manner.simulated, unattended=manner.unattended)
         if not await self._queue.enrol(self.name, _identity(self._orders / "identity"), offer):
             what = f"the station '{self.name}' of the queue is another lab's: give this one another --name"
@@ -160,7 +167,15 @@ class Station:
             return True
         self._idle += 1
         await self._note("waits for a job")
-        return self._idle % IDLE_LOOKS == 0 and await self._queue.take_over(self.name)
+        if self._idle % IDLE_LOOKS != 0:
+            return False
+        try:
+            lab = load_lab(self._lab)
+        except SourceError as error:  # as somebody edits it: what comes meanwhile is refused by its run
+            self._tell(f"the lab is broken: {error}")
+            return False
+        await self._enrol(lab)  # what the cell has, and what is in its mortars, changes while no job comes
+        return await self._queue.take_over(self.name)
 
     async def _goes_on(self, taken: Taken, journal: Path | None) -> None:
         run = journal.stem if journal is not None else ""
@@ -233,7 +248,7 @@ class Station:
         await self._queue.finish(taken.id, status)
         self._child = None
         self._tell(f"job {taken.id}: {status.value}: {said}")
-        await self._enrol()
+        await self._enrol(load_lab(self._lab))  # a broken one takes no job
         return True
 
     async def _note(self, state: str, taken: Taken | None = None, run: str = "", said: str = "") -> None:
