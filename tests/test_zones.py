@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from running import make_lab, shared_planner
 
+from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.believed_powder import InVessel
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S
@@ -228,6 +229,53 @@ def scooping_bench(
     bench.cell.believed.source_holds("beads", amount_mg)
     bench.cell.places_mm = all_places(starter.cell, bench.cell.sources, [])
     return bench, source
+
+
+@pytest.fixture(scope="module")
+def swept(starter: Lab) -> tuple[Lab, MotionPlanner]:
+    """A lab whose changer sweeps over a mortar, below where the cone comes to it, and its planner."""
+    x_mm, y_mm, _ = starter.cell.stations["mortar_bay"].position_mm
+    sweep = Obstacle(name="pan", box_mm=(120.0, 120.0, 25.0), at_mm=(x_mm, y_mm, 12.5))
+    lab = replace(starter, cell=starter.cell.model_copy(update={"zones": [sweep]}))
+    mortar = lab.library.mortars["agate_mortar"]
+    planner = lab.motion_planner({"mortar_bay": mortar})
+    source = Source.model_construct(name="beads", station="mortar_bay", mortar=mortar)
+    for name, position_mm in all_places(lab.cell, {"beads": source}, []).items():
+        planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+    return lab, planner
+
+
+def test_a_scoop_from_a_mortar_in_a_zone_that_another_has_waits_until_it_is_free(
+    swept: tuple[Lab, MotionPlanner],
+) -> None:
+    """It failed at once, and ended the run."""
+    lab, planner = swept
+    bench, source = scooping_bench(lab, planner)
+    bench.have_the_pan()
+    scooping = lab.library.skills["scoop"](source=source).run(bench.cell)
+    bench.do(scooping, bench.later(20.0, lambda: bench.way.leave(CHANGER, ["changer"])))
+    assert min(now_s for now_s, _, is_in in bench.seen if is_in) > 20.0
+    assert bench.world.masses_mg["cone"] > 1000.0
+
+
+def test_a_stroke_keeps_the_zone_that_it_was_planned_through_while_the_arm_comes_to_where_it_begins(
+    swept: tuple[Lab, MotionPlanner],
+) -> None:
+    """It stands outside of it there: another got the zone then, and the stroke went into it all the same."""
+    lab, planner = swept
+    bench, source = scooping_bench(lab, planner)
+    free: list[tuple[float, bool]] = []
+
+    def look() -> Steps[None]:
+        while bench.clock.now_s < 12.0:
+            free.append((bench.clock.now_s, not bench.way.is_crossed("pan", CHANGER)))
+            yield Wake(bench.clock.now_s + 0.05)
+
+    bench.do(lab.library.skills["scoop"](source=source).run(bench.cell), look())
+    is_in_s = [now_s for now_s, _, is_in in bench.seen if is_in]
+    assert is_in_s
+    assert not any(is_free for now_s, is_free in free if now_s <= max(is_in_s))
+    assert free[-1][1]
 
 
 @pytest.mark.parametrize(("rest_mg", "begins_at"), [(0.0, "over the pan"), (60.0, "at the mortar")])

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -44,6 +44,8 @@ RECENT = 4000
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
     from scuhand_bt.motion.stopping import StoppableTrajectory
+
+T = TypeVar("T")
 
 
 @dataclass
@@ -164,11 +166,12 @@ class Cell:
         down = yield from self._planned(
             lambda planner: planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
         )
-        there = yield from self._planned(
-            lambda planner: planner.move(self.arm.positions, down.start, spill_limit_deg=limit_deg)
-        )
-        yield from self._follow(there)
-        yield from self._follow(down)
+        with self.right_of_way.ahead():
+            there = yield from self._planned(
+                lambda planner: planner.move(self.arm.positions, down.start, spill_limit_deg=limit_deg)
+            )
+            yield from self._follow(there)
+            yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str | None) -> Steps[None]:
         """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else."""
@@ -177,6 +180,13 @@ class Cell:
     def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str | None) -> Trajectory:
         """The trajectory of `touch`, to be started beside another motion."""
         return self._planner().contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
+
+    def planned(self, plan: "Callable[[], T]") -> "Steps[T]":
+        """What a skill plans, which fails where there is no way; where others have zones, once these are free.
+
+        SkillFailed as `plan` does, arm.zone_taken.
+        """
+        return self._planned(lambda _: plan())
 
     def plan_stroke(self, path: StrokePath, source: Source) -> "StoppableTrajectory":
         """The motion of arm and roller along a stroke in a source's mortar, as near to the mortar's place as it can be.
@@ -193,7 +203,12 @@ class Cell:
         be left in the cone, which falls out as that tips, from the mortar's place; and where it is there, too, before
         that way.
         """
-        begin = motion.start[:-1]
+        with self.right_of_way.ahead():
+            yield from self._led_to(motion.start[:-1], open_mm, station)
+            yield from self._together(motion)
+
+    def _led_to(self, begin: Joints, open_mm: float, station: str) -> Steps[None]:
+        """To where a stroke begins, its cone formed."""
         is_empty = self.believed.cone_source is None and not self.believed.has_rest
         forming = self._forming(begin, open_mm) if is_empty else None
         if forming is None:
@@ -205,7 +220,6 @@ class Cell:
             yield from self._follow(self._planner().move(self.arm.positions, begin))
         else:
             yield from self._together(forming)
-        yield from self._together(motion)
 
     def _forming(self, goal: Joints, rim_mm: float) -> "StoppableTrajectory | None":
         """From here to a configuration with a cone of this size, empty; None where something is in the way."""
@@ -259,7 +273,7 @@ class Cell:
             self.motion.set_occupied(self.in_the_way.points_m)
         return self.motion
 
-    def _planned(self, plan: "Callable[[MotionPlanner], StoppableTrajectory]") -> "Steps[StoppableTrajectory]":
+    def _planned(self, plan: "Callable[[MotionPlanner], T]") -> "Steps[T]":
         """A motion around the zones that others have, and what is seen; where there is none, once they are free.
 
         Where the arm stands in something, it first goes out of that.

@@ -52,7 +52,7 @@ class RightOfWay:
         self._has_zone: dict[str, object] = {}
         self._cell = cell
         self._crossed: frozenset[str] = frozenset()
-        self._hushes = self._watches = 0
+        self._hushes = self._watches = self._ahead = 0
 
     # --- zones
 
@@ -93,9 +93,20 @@ class RightOfWay:
         return closed
 
     def crossed(self) -> None:
-        """The arm has come to rest: it is only where it stands."""
-        self._crossed = self._cell.zones_entered()
-        self.news.fire()
+        """The arm has come to rest: it is only where it stands, but for what is planned ahead."""
+        if not self._ahead:
+            self._crossed = self._cell.zones_entered()
+            self.news.fire()
+
+    @contextmanager
+    def ahead(self) -> Iterator[None]:
+        """Meanwhile a motion that was planned before others may go through the zones that were open then."""
+        self._ahead += 1
+        try:
+            yield
+        finally:
+            self._ahead -= 1
+        self.crossed()  # an arm that is halted on its way still moves
 
     # --- stillness
 
