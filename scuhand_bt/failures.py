@@ -105,7 +105,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("motion", "devices"),
     ),
     Code.ARM_IN_THE_WAY: Failure(
-        "The arm stands over the pan while a container is to be changed.",
+        "The arm stands where something else is to move, as over the pan while a container is to be changed.",
         "Put `park:` before `place_container` in the workflow.",
         ("cell",),
     ),

@@ -32,6 +32,7 @@ from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.specs import Source
+from scuhand_bt.tree.leases import Leases
 
 ARM, CHANGER = object(), object()
 """Who has the arm, and who the changer and the pan."""
@@ -144,6 +145,23 @@ def test_a_motion_planned_before_keeps_the_zone_until_the_arm_is_out_of_it(bench
     assert bench.way.is_crossed("pan", CHANGER)
     bench.do(leaving)
     assert not bench.way.is_crossed("pan", CHANGER)
+
+
+def test_a_zone_that_the_arm_was_left_in_is_free_for_the_hand_there_and_for_nothing_else_that_moves(
+    bench: Bench,
+) -> None:
+    """A changer would sweep through the arm, where nobody had it."""
+    bench.do(bench.cell.move_to(bench.over))
+    del bench.way.commands["arm"]
+    leases, dosing = Leases(bench.cell), object()
+    assert leases.missing(["changer", "balance"], CHANGER, ["pan"]) == ["pan"]
+    assert not leases.take(["changer", "balance"], CHANGER, ["pan"])
+    assert leases.take(["hand", "balance"], dosing, ["pan"])
+    leases.give_back(dosing)
+    bench.way.commands["arm"] = ARM
+    bench.do(bench.cell.move_to("mortar_bay"))
+    del bench.way.commands["arm"]
+    assert leases.take(["changer", "balance"], CHANGER, ["pan"])
 
 
 def test_a_weighing_waits_for_the_arm_and_no_motion_begins_in_it(bench: Bench) -> None:
@@ -571,6 +589,35 @@ def test_the_arm_stands_still_while_a_person_changes_the_container(tmp_path: Pat
     assert not [move_s for move_s in moves_s if place_s[0] < move_s < answered_s]
     assert [move_s for move_s in moves_s if answered_s <= move_s < place_s[1]], "but not while the pan comes to rest"
     assert answered_s - asked_s > 10.0
+
+
+OVER_THE_PAN = """
+workflow: fill_crucible
+inputs: {source: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 2 mg}}
+result: $dose
+tree:
+  sequence:
+    - place_and_scoop: {source: $source, container: $container, mass: $mass}
+    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance, as: dose}
+"""
+
+
+def test_a_container_is_taken_off_once_the_arm_beside_it_has_left_the_pan(tmp_path: Path) -> None:
+    """It failed with arm.in_the_way in the tick in which the other branch would have moved the arm."""
+    folder = make_lab(tmp_path / "lab")
+    leaving = "    - parallel:\n        - remove_container:\n        - park:\n"
+    (folder / "trees" / "fill_crucible.yaml").write_text(OVER_THE_PAN + leaving, encoding="utf-8")
+    ran, journal = run_dry(tmp_path / "runs", load_lab(folder))
+    assert [(result.verdict, result.code) for result in ran.samples] == [("in tolerance", None)]
+    rows = [(row["skill"], row["outcome"]) for row in read(journal, "action")]
+    assert rows.count(("remove_container", "failed")) == 0
+
+
+def test_a_container_is_not_changed_where_nothing_moves_the_arm_away(tmp_path: Path) -> None:
+    folder = make_lab(tmp_path / "lab")
+    (folder / "trees" / "fill_crucible.yaml").write_text(OVER_THE_PAN + "    - remove_container:\n", encoding="utf-8")
+    ran, _ = run_dry(tmp_path / "runs", load_lab(folder))
+    assert [result.code for result in ran.samples] == ["arm.in_the_way"]
 
 
 def test_a_wrong_container_halts_the_scoop_and_the_cone_comes_out_of_its_mortar(tmp_path: Path) -> None:

@@ -86,6 +86,10 @@ class RightOfWay:
         is_busy = arm not in (None, owner) or not self._cell.arm.is_stopped
         return name in self._crossed and is_busy
 
+    def is_stood_in(self, name: str) -> bool:
+        """Whether the arm stands in this zone, and nobody is there to move it."""
+        return "arm" not in self.commands and self._cell.arm.is_stopped and name in self._cell.zones_entered()
+
     def crossing(self) -> frozenset[str]:
         """A motion of the arm is planned from now on: it may go through all zones that are open; gives the others."""
         closed = self.closed

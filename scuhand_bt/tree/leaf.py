@@ -284,12 +284,9 @@ class SkillLeaf(Behaviour):
         own, zones = self.skill.devices, self.skill.zones
         devices = sorted({*own, *REJOINING}) if replay.is_to_rejoin else own
         if not shared.leases.take(devices, self, zones):
-            missing = shared.leases.missing(devices, self, zones)
-            timeout_s = ZONE_TIMEOUT_S if set(missing) <= set(zones) else LEASE_TIMEOUT_S
+            timeout_s, failure = self._waits_for(devices)
             if now_s >= self._began_waiting_s + timeout_s:
-                if set(missing) <= set(zones):
-                    raise taken(missing, timeout_s)
-                raise SkillFailed(Code.DEVICE_BUSY, f"{', '.join(devices)} not free after {timeout_s:g} s")
+                raise failure
             shared.wait(self, *shared.leases.wakes(devices, self._began_waiting_s + timeout_s))
             return False
         if replay.is_to_rejoin:
@@ -306,6 +303,18 @@ class SkillLeaf(Behaviour):
         if replay.is_to_rejoin or self._recorded is not None:
             self._steps = self._resume(skill, self._steps, shared.listener.in_words(inputs))
         return True
+
+    def _waits_for(self, devices: Sequence[str]) -> tuple[float, SkillFailed]:
+        """How long what is not free is waited for, and the failure after that."""
+        leases, zones = self._shared.leases, self.skill.zones
+        missing, stood_in = leases.missing(devices, self, zones), leases.stood_in(devices, zones)
+        if stood_in and set(missing) <= set(stood_in):
+            what = f"for {ZONE_TIMEOUT_S:g} s nothing has moved the arm out of the zone {', '.join(stood_in)}"
+            return ZONE_TIMEOUT_S, SkillFailed(Code.ARM_IN_THE_WAY, what)
+        if set(missing) <= set(zones):
+            return ZONE_TIMEOUT_S, taken(missing, ZONE_TIMEOUT_S)
+        what = f"{', '.join(devices)} not free after {LEASE_TIMEOUT_S:g} s"
+        return LEASE_TIMEOUT_S, SkillFailed(Code.DEVICE_BUSY, what)
 
     def _resume(self, skill: Skill[Any], steps: Steps[Any], inputs: str) -> Steps[Any]:
         """The skill's steps, after what an interruption has left to settle."""

@@ -32,7 +32,12 @@ class Leases:
         self._stopping = {name for name in self._stopping if not self._cell.device(name).is_stopped}
         way = self._way
         missing = [name for name in devices if name in way.commands or name in self._stopping]
-        return missing + [zone for zone in zones if way.holder(zone) is not None or way.is_crossed(zone, owner)]
+        missing += [zone for zone in zones if way.holder(zone) is not None or way.is_crossed(zone, owner)]
+        return missing + self.stood_in(devices, zones)
+
+    def stood_in(self, devices: Iterable[str], zones: Iterable[str]) -> list[str]:
+        """The zones that are not free as the arm was left in them; none for who moves it, or has the hand on it."""
+        return [] if {"arm", "hand"}.intersection(devices) else [zone for zone in zones if self._way.is_stood_in(zone)]
 
     def give_back(self, owner: object) -> None:
         """The owner has ended: its devices are free once they have stopped, and its zones then, if the arm is out."""
