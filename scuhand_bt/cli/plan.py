@@ -94,7 +94,7 @@ def plan(
     if all(person.job is None for person in made.persons):
         out.print("After the start no person is needed.")
     for person in made.persons:
-        when = odds.began_s.get(person.job or "") if odds is not None else None
+        when = odds.person_s(person.job or "") if odds is not None else None
         at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
         out.print(Text(f"A person is {person}{at}."))
     if odds is not None:
