@@ -24,7 +24,7 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.sim.powder import OurPowderFlow
-from scuhand_bt.study.change import changed, with_value
+from scuhand_bt.study.change import changed, files_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import diff, optimised
 from scuhand_bt.study.pool import all_trials, executor_of
@@ -108,6 +108,26 @@ def test_a_study_that_broke_off_goes_on_and_one_of_other_files_begins_anew(setup
     with open_store(kept, setup) as store:
         dict(all_trials([(setup, 0)], inline, store))
     assert inline.ran == 5
+
+
+@pytest.mark.parametrize("file", ["recipes/two.yaml", "recipes/rows.csv", "robot/powders.yaml"])
+def test_trials_of_files_that_are_changed_meanwhile_are_not_taken_for_theirs(setup: Setup, file: str) -> None:
+    rows = setup.lab / "recipes" / "rows.csv"
+    rows.write_text("id,source,container,mass [mg]\nd,beads,xrd_holder,40\n", encoding="utf-8")
+    setup.recipe.write_text(f"{RECIPE}  - {{table: rows.csv}}\n", encoding="utf-8")
+    begun = replace(setup, files=files_hash(setup.recipe, setup.lab))
+    with (setup.lab / file).open("a", encoding="utf-8") as edited:
+        edited.write("\n")
+    for changes in ((), ((FLOW, "90"),)):
+        with pytest.raises(SourceError, match="its lab has changed since these dry runs began"):
+            trial(replace(begun, changes=changes), 1)
+
+
+def test_another_study_in_one_process_is_of_the_files_of_today(setup: Setup) -> None:
+    before = trial(replace(setup, files=files_hash(setup.recipe, setup.lab)), 0)
+    setup.recipe.write_text(RECIPE.replace("30 mg", "31 mg"), encoding="utf-8")
+    after = trial(replace(setup, files=files_hash(setup.recipe, setup.lab)), 0)
+    assert [one.samples[2].target_mg for one in (before, after)] == [30.0, 31.0], "as on a Dask worker"
 
 
 def test_physics_of_ones_own_that_were_changed_are_tried_anew(

@@ -118,9 +118,10 @@ def _night_values(made: "Plan", odds: "Odds", hours: "Night") -> dict[str, Any]:
 
 def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":
     """By the first seeds, in the background; what fails there by itself says so."""
-    from scuhand_bt.study import Setup, all_trials, executor_of, odds_of
+    from scuhand_bt.study import Setup, all_trials, executor_of, files_hash, odds_of
 
-    setup = Setup(made.recipe.path.absolute(), loaded.folder.absolute())
+    recipe, folder = made.recipe.path.absolute(), loaded.folder.absolute()
+    setup = Setup(recipe, folder, files=files_hash(recipe, folder))
     with executor_of(workers, None) as executor:
         found = dict(all_trials([(setup, seed) for seed in range(trials)], executor))
     return odds_of(made, [found[setup, seed] for seed in range(trials)])

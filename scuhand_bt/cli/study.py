@@ -50,6 +50,7 @@ def study(
         Setup,
         all_trials,
         executor_of,
+        files_hash,
         odds_of,
         open_store,
         read_vary,
@@ -64,15 +65,16 @@ def study(
         raise typer.BadParameter("a Dask cluster has its own", param_hint="--workers")
     check_controller(controller)
     made, opened = the_plan(recipe, lab)
-    setup = Setup(recipe.absolute(), opened.lab.folder.absolute(), controller, plant)
+    path, folder = recipe.absolute(), opened.lab.folder.absolute()
+    setup = Setup(path, folder, controller, plant, files=files_hash(path, folder))
     varied = read_vary(vary, setup.recipe, setup.lab) if vary is not None else None
     if varied is not None and controller is not None and "recipe.controller" in varied.vary:
         raise typer.BadParameter("it is what --vary names", param_hint="--controller")
-    path = store or opened.state / "studies.sqlite"
+    kept_in = store or opened.state / "studies.sqlite"
     if optimise is not None:
         if varied is None:
             raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
-        with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
+        with open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
             seeds = range(first_seed, first_seed + trials)
             _propose(setup, varied, optimise, seeds, executor, kept, as_json=as_json)
         return
@@ -81,7 +83,7 @@ def study(
         raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
     tasks = [(draw, seed) for draw in draws for seed in range(first_seed, first_seed + trials)]
     found: dict[Task, Trial] = {}
-    with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
+    with open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
         going = all_trials(tasks, executor, kept)
         for task, one in track(going, "trials", len(tasks), console=err, disable=not err.is_terminal):
             found[task] = one
@@ -96,7 +98,7 @@ def study(
     tell_odds(odds)
     if dominant:
         _tell_dominant(dominant, varied.design if varied is not None else "")
-    out.print(Text(f"Trials are kept in {path}"), soft_wrap=True)
+    out.print(Text(f"Trials are kept in {kept_in}"), soft_wrap=True)
 
 
 def _propose(

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from scuhand_bt.fronts import front
 
 if TYPE_CHECKING:
+    from scuhand_bt.study.change import files_hash
     from scuhand_bt.study.night import Night, fates, in_words, read_night
     from scuhand_bt.study.odds import Odds, Range, odds_of
     from scuhand_bt.study.optimise import diff, optimised
@@ -18,6 +19,7 @@ else:
     __getattr__, __dir__ = front(
         __name__,
         {
+            "study.change": "files_hash",
             "study.night": "Night fates in_words read_night",
             "study.odds": "Odds Range odds_of",
             "study.optimise": "diff optimised",
@@ -44,6 +46,7 @@ __all__ = [
     "diff",
     "executor_of",
     "fates",
+    "files_hash",
     "goes_with",
     "in_words",
     "odds_of",

@@ -5,6 +5,7 @@ A place is named by its file and its keys, with dots between them: `recipe.sampl
 any recipe and any lab is.
 """
 
+import hashlib
 import json
 import re
 import shutil
@@ -20,6 +21,7 @@ import yaml
 from scuhand_bt.lab import CELL_FILE
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.expansion import tables_named
+from scuhand_bt.run.resume import lab_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
@@ -27,6 +29,14 @@ Changes: TypeAlias = tuple[tuple[str, Value], ...]
 
 FOLDERS = ("robot", "trees", "skills")
 FILES = {"powders": "robot/powders.yaml", "containers": "robot/containers.yaml", "cell": str(CELL_FILE)}
+
+
+def files_hash(recipe: Path, lab: Path) -> str:
+    """SHA-256 of a recipe, its tables and all that a run depends on in its lab, as they are written."""
+    text = recipe.read_text(encoding="utf-8")
+    tables = {str(table.text): recipe.parent / str(table.text) for table in tables_named(text, str(recipe))}
+    found = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in tables.items() if path.is_file()}
+    return hashlib.sha256(json.dumps([text, found, lab_files(lab)], sort_keys=True).encode()).hexdigest()
 
 
 @contextmanager

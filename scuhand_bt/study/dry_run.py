@@ -23,7 +23,7 @@ from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.plant import PlantError
-from scuhand_bt.study.change import changed
+from scuhand_bt.study.change import changed, files_hash
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, into
 
@@ -125,4 +125,8 @@ def _made(setup: Setup) -> tuple[Plan, Lab, MotionPlanner]:
     with changed(setup.recipe, setup.lab, setup.changes) as (recipe, folder):
         lab = load_lab(folder)
         plan = make_plan(load_recipe(recipe, lab), lab)
-        return plan, lab, prepared_motion(plan, lab)
+        made = plan, lab, prepared_motion(plan, lab)
+    if setup.files not in ("", files_hash(setup.recipe, setup.lab)):
+        problem = "it, a table of it or its lab has changed since these dry runs began; begin them again"
+        raise SourceError([Problem(Mark(str(setup.recipe), 0), problem)])
+    return made

@@ -30,6 +30,8 @@ class Setup:
     plant: str | None = None
     """Physics by `module:Class`; None: `some_cell`'s, another one for each seed."""
     changes: Changes = ()
+    files: str = ""
+    """What recipe and lab are to be (`files_hash`), wherever and whenever they are read; empty: whatever they are."""
 
 
 @dataclass(frozen=True)
