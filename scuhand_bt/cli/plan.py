@@ -89,7 +89,7 @@ def plan(
     if odds is not None:
         tell_odds(odds)
     rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
-    out.print(f"\nSheet swaps: {made.swaps}.{rough}")
+    out.print(f"\nSheet swaps between samples: {made.swaps}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
     if all(person.job is None for person in made.persons):
         out.print("After the start no person is needed.")
