@@ -9,7 +9,7 @@ from conftest import Call, Desk, LabFolder
 
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
-from scuhand_bt.study.night import fates, in_words, read_night
+from scuhand_bt.study.night import better_order, fates, in_words, read_night
 from scuhand_bt.study.odds import odds_of
 from scuhand_bt.study.stays import stays_in_words
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
@@ -81,14 +81,21 @@ def test_a_sample_that_ends_too_late_is_not_done(desk: Desk) -> None:
 
 
 def test_an_order_that_lets_more_be_done_is_named(plan: Plan, desk: Desk) -> None:
-    recipe = RECIPE.replace("workflow: fill", "order: persons_together\nworkflow: fill").replace(
-        "id: a,", "id: a, repeat: 2,"
-    )
-    plan = make_plan(desk.load(recipe.replace("repeat: 3", "repeat: 1")), desk.lab)
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
-    assert list(in_words(plan, desk.lab, odds, read_night("20:00-08:00")))[-1] == (
-        "With `order: by_powder` it would be about 2."
-    )
+    assert list(in_words(plan, desk.lab, odds, NIGHT))[-1] == "With `order: persons_together` it would be about 3."
+
+
+def test_an_order_is_not_named_that_does_no_more_than_is_said_to_be_done(desk: Desk) -> None:
+    beads = "  - {id: [y, z], workflow: characterise, container: alumina_crucible, mass: 1 g, source: beads}\n"
+    recipe = f"{RECIPE.replace('  - {id: a, source: beads}', '').replace('repeat: 3', 'repeat: 2')}{beads}"
+    plan = make_plan(desk.load(recipe.replace("workflow", "order: persons_together\nworkflow", 1)), desk.lab)
+    assert [job.name for job in plan.jobs][:2] == ["y", "z"], "which take longer, by the forecast of skills"
+    odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
+    hours = read_night("20:00-20:22")
+    assert better_order(plan, desk.lab, odds, hours) == ("by_powder", 2)
+    said = list(in_words(plan, desk.lab, odds, hours))
+    assert "2 of 4 samples" in said[0]
+    assert not any(line.startswith("With") for line in said)
 
 
 def test_moments_soon_after_each_other_are_one_stay(plan: Plan, desk: Desk) -> None:

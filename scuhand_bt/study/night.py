@@ -108,5 +108,6 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Iterator[str]:
             reasons.setdefault(fate.why, []).append(fate.sample)
     for why, samples in reasons.items():
         yield f"Not {', '.join(samples)}: {why}."
-    if len(fit) < len(found) and (better := better_order(plan, lab, odds, night)) is not None:
+    better = better_order(plan, lab, odds, night) if len(fit) < len(found) else None
+    if better is not None and better[1] > len(fit):
         yield f"With `order: {better[0]}` it would be about {better[1]}."
