@@ -452,6 +452,23 @@ def test_a_value_is_changed_where_it_stands_and_all_else_stays_as_written() -> N
         with_value(text, "powders.glass_beads.belief.spred", "20 %")
 
 
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("recipe.a.mass", "'mass' has an anchor (&), and would change wherever its alias (*) is; write it out"),
+        ("recipe.b.mass", "'mass' has an anchor (&)"),
+        ("recipe.c.k", "'c' has an anchor (&)"),
+        ("recipe.d.0.k", "'0' has an anchor (&)"),
+        ("recipe.e", "nothing is written there; write a value, which is then varied"),
+    ],
+)
+def test_a_value_that_stands_elsewhere_too_is_not_changed(place: str, said: str) -> None:
+    text = "a: {mass: &m 50 mg}\nb: {mass: *m}\nc: &x {k: 1}\nd:\n  - *x\ne:\n"
+    with pytest.raises(SourceError) as wrong:
+        with_value(text, place, "20 mg")
+    assert str(wrong.value).startswith(f"{place}: {said}")
+
+
 @pytest.mark.slow
 def test_a_search_proposes_what_is_better_on_seeds_that_it_has_not_seen(setup: Setup, tmp_path: Path) -> None:
     pytest.importorskip("optuna")

@@ -84,11 +84,17 @@ def _of_original(problem: Problem, originals: Iterable[tuple[Path, Path]], chang
 def with_value(text: str, place: str, value: Value) -> str:
     """A file's text with another value at a place (`FILE.KEY.KEY`); all else stays as it is written.
 
-    Raises SourceError for a place that there is not.
+    Raises SourceError for a place that there is not, or that cannot be changed by itself.
     """
     node: Any = yaml.compose(text, yaml.BaseLoader)
     for key in place.split(".")[1:]:
         node = _below(node, key, place)
+        if text.startswith("&", node.start_mark.index):  # as where it is an alias: that is the node of its anchor
+            raise _refused(
+                place, f"'{key}' has an anchor (&), and would change wherever its alias (*) is; write it out"
+            )
+    if node.start_mark.index == node.end_mark.index:
+        raise _refused(place, "nothing is written there; write a value, which is then varied")
     new = str(value)
     if not re.fullmatch(r"[\w.+/^° -]+", new):
         new = json.dumps(new, ensure_ascii=False)
@@ -108,7 +114,11 @@ def _below(node: Any, key: str, place: str) -> Any:
 
 def _no_such(place: str, known: list[str], key: str = "") -> SourceError:
     what = f"'{key}' is not there" if key else "a place begins with its file"
-    return SourceError([Problem(Mark(place, 0), f"{what}; known: {', '.join(known) or 'nothing'}")])
+    return _refused(place, f"{what}; known: {', '.join(known) or 'nothing'}")
+
+
+def _refused(place: str, what: str) -> SourceError:
+    return SourceError([Problem(Mark(place, 0), what)])
 
 
 def file_of(place: str, recipe: Path, lab: Path) -> Path:
