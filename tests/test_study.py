@@ -32,7 +32,7 @@ from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.store import open_store
 from scuhand_bt.study.table import write_table
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
-from scuhand_bt.study.vary import Vary, goes_with, read_vary
+from scuhand_bt.study.vary import Vary, goes_with, means_of, read_vary
 from tests.conftest import REPOSITORY, Call, LabFolder
 
 RECIPE = """recipe: two
@@ -276,6 +276,20 @@ def test_ranks_tell_what_goes_with_a_figure() -> None:
     assert goes_with([*masses, replace(masses[0], changes=(("m", "3 s"),))], [1.0, 2.0, 3.0, 4.0]) == {}
 
 
+def test_of_a_place_with_names_the_mean_with_each_is_told(setup: Setup, command: Call, tmp_path: Path) -> None:
+    draws = [
+        Setup(Path("r"), Path("l"), changes=((FLOW, str(flow)), ("recipe.controller", name)))
+        for flow, name in ((1, "paper"), (2, "adaptive"), (3, "paper"))
+    ]
+    assert means_of(draws, [9.0, 5.0, 1.0]) == {"recipe.controller": {"paper": 5.0, "adaptive": 5.0}}
+    setup.recipe.write_text(RECIPE.replace("workflow", "controller: paper\nworkflow", 1), encoding="utf-8")
+    vary = tmp_path / "vary.yaml"
+    vary.write_text("{design: grid, vary: {recipe.controller: [adaptive, paper]}}", encoding="utf-8")
+    shown = command("study", setup.recipe, "--trials", 1, "--vary", vary, "--workers", 1).stdout
+    assert [shown.count(text) for text in ("recipe.controller: adaptive", "recipe.controller: paper")] == [2, 2]
+    assert shown.count(" on average") == 4
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -283,6 +297,8 @@ def test_ranks_tell_what_goes_with_a_figure() -> None:
         ("vary: {a.b: {from: 60 mg, to: 20 mg}}", "a range goes from a smaller to a larger number"),
         ("{design: sobol, draws: 12, vary: {a.b: [x]}}", "a sobol design takes a power of two"),
         ("{design: random, vary: {a.b: [x]}}", "design"),
+        ("vary: {a.b: {from: 1 mg, to: 1e999 mg}}", "a range goes from a smaller to a larger number"),
+        ("vary: {a.b: {from: -1e309, to: 2}}", "a range goes from a smaller to a larger number"),
         ("vary: {}", "vary"),
         ("vary: {recipe.order: []}", "a list of at least 1"),
         ("{design: grid, draws: 300, vary: {a.b: {from: 1, to: 2}, c.d: {from: 1, to: 2}}}", "a grid of 90000 points"),

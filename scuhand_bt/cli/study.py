@@ -158,8 +158,8 @@ def _range(found: "Range", told: Any) -> str:
 
 
 def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Trial]]") -> dict[str, dict[str, Any]]:
-    """Of success and time: Sobol indices by place, or how each goes with the place (Spearman), where it is a range."""
-    from scuhand_bt.study import goes_with
+    """Of success and time: Sobol indices by place; or how each goes with its numbers (Spearman), the mean by name."""
+    from scuhand_bt.study import goes_with, means_of
 
     figures: dict[str, dict[Setup, list[float]]] = {"good": {}, "duration_s": {}}
     for (setup, _), one in ordered:
@@ -172,7 +172,11 @@ def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Tri
             name: {place: {"first": first, "total": total} for place, (first, total) in vary.indices(of).items()}
             for name, of in means.items()
         }
-    return {name: {p: {"rank": r} for p, r in goes_with(draws, of).items()} for name, of in means.items()}
+    return {
+        name: {place: {"rank": rank} for place, rank in goes_with(draws, of).items()}
+        | {place: {"means": by_name} for place, by_name in means_of(draws, of).items()}
+        for name, of in means.items()
+    }
 
 
 def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
@@ -180,7 +184,13 @@ def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
     heads = {"first": "Sobol, first order", "total": "Sobol, total", "rank": "rank correlation"}
     for name, places in dominant.items():
         table = Table(f"what {name} depends on", *(heads[column] for column in columns), show_edge=False)
-        for place, values in sorted(places.items(), key=lambda item: -abs(item[1][columns[-1]])):
+        by_name = {place: values["means"] for place, values in places.items() if "means" in values}
+        ranked = [item for item in places.items() if item[0] not in by_name]
+        for place, values in sorted(ranked, key=lambda item: -abs(item[1][columns[-1]])):
             table.add_row(place, *(f"{values[column]:.2f}" for column in columns))
+        for place, named in by_name.items():
+            for value, mean in named.items():
+                came = format_duration(mean) if name == "duration_s" else f"{mean:.0%}"
+                table.add_row(f"{place}: {value}", f"{came} on average")
         out.print()
         out.print(table)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from scuhand_bt.study.store import Store, open_store
     from scuhand_bt.study.table import TABLE_KINDS, write_table
     from scuhand_bt.study.trial import Setup, Task, Trial
-    from scuhand_bt.study.vary import Vary, goes_with, read_vary
+    from scuhand_bt.study.vary import Vary, goes_with, means_of, read_vary
 else:
     __getattr__, __dir__ = front(
         __name__,
@@ -28,7 +28,7 @@ else:
             "study.store": "Store open_store",
             "study.table": "TABLE_KINDS write_table",
             "study.trial": "Setup Task Trial",
-            "study.vary": "Vary goes_with read_vary",
+            "study.vary": "Vary goes_with means_of read_vary",
         },
     )
 
@@ -49,6 +49,7 @@ __all__ = [
     "files_hash",
     "goes_with",
     "in_words",
+    "means_of",
     "odds_of",
     "open_store",
     "optimised",
