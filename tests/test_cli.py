@@ -163,7 +163,7 @@ def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
     shown = command("plan", "recipes/synthesis_batch.yaml", "--trials", 0)
     assert shown.returncode == 0
     assert "change powder to monosodium_glutamate" in shown.stdout
-    assert "Sheet swaps: 1." in shown.stdout
+    assert "Sheet swaps between samples: 1." in shown.stdout
     change = "change powder to monosodium_glutamate for m-xrd-1"
     assert f"A person is needed at '{change}': swap the sheet (two screws), wipe rollers and clamp." in shown.stdout
 

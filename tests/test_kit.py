@@ -162,7 +162,7 @@ def test_a_test_file_is_no_workflow_and_no_part_of_what_a_run_depends_on(lab_fol
     lab = lab_folder.load()
     assert "mine.test" not in lab.library.workflows
     assert lab.problems == ()
-    assert not any(name.endswith(".test.yaml") for name in lab_files(lab))
+    assert not any(name.endswith(".test.yaml") for name in lab_files(lab.folder))
 
 
 PYTHON = (REPOSITORY / "docs" / "lab-tests.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]

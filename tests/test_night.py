@@ -9,10 +9,10 @@ from conftest import Call, Desk, LabFolder
 
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
-from scuhand_bt.study.night import fates, in_words, read_night
+from scuhand_bt.study.night import better_order, fates, in_words, read_night
 from scuhand_bt.study.odds import odds_of
 from scuhand_bt.study.stays import stays_in_words
-from scuhand_bt.study.trial import SampleTrial, Trial
+from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
 
 NIGHT = read_night("20:00-08:00")
 RECIPE = """recipe: two
@@ -81,14 +81,21 @@ def test_a_sample_that_ends_too_late_is_not_done(desk: Desk) -> None:
 
 
 def test_an_order_that_lets_more_be_done_is_named(plan: Plan, desk: Desk) -> None:
-    recipe = RECIPE.replace("workflow: fill", "order: persons_together\nworkflow: fill").replace(
-        "id: a,", "id: a, repeat: 2,"
-    )
-    plan = make_plan(desk.load(recipe.replace("repeat: 3", "repeat: 1")), desk.lab)
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
-    assert list(in_words(plan, desk.lab, odds, read_night("20:00-08:00")))[-1] == (
-        "With `order: by_powder` it would be about 2."
-    )
+    assert list(in_words(plan, desk.lab, odds, NIGHT))[-1] == "With `order: persons_together` it would be about 3."
+
+
+def test_an_order_is_not_named_that_does_no_more_than_is_said_to_be_done(desk: Desk) -> None:
+    beads = "  - {id: [y, z], workflow: characterise, container: alumina_crucible, mass: 1 g, source: beads}\n"
+    recipe = f"{RECIPE.replace('  - {id: a, source: beads}', '').replace('repeat: 3', 'repeat: 2')}{beads}"
+    plan = make_plan(desk.load(recipe.replace("workflow", "order: persons_together\nworkflow", 1)), desk.lab)
+    assert [job.name for job in plan.jobs][:2] == ["y", "z"], "which take longer, by the forecast of skills"
+    odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
+    hours = read_night("20:00-20:22")
+    assert better_order(plan, desk.lab, odds, hours) == ("by_powder", 2)
+    said = list(in_words(plan, desk.lab, odds, hours))
+    assert "2 of 4 samples" in said[0]
+    assert not any(line.startswith("With") for line in said)
 
 
 def test_moments_soon_after_each_other_are_one_stay(plan: Plan, desk: Desk) -> None:
@@ -136,6 +143,41 @@ def test_a_sample_that_some_dry_runs_have_stopped_before_is_counted_only_if_19_o
     for many, why in ((1, None), (2, "2 of 20 dry runs have stopped before its end")):
         odds = odds_of(plan, [*[whole] * (20 - many), *[stopped] * many])
         assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, why, why, why]
+
+
+def test_a_last_sample_that_stops_the_run_is_not_done(desk: Desk) -> None:
+    recipe = "recipe: none\nworkflow: weigh_blank\nsamples:\n  - {id: blank, container: xrd_holder, repeat: 2}\n"
+    plan = make_plan(desk.load(recipe), desk.lab)
+    whole = trial_of(plan, 60.0)
+    for exit_code, why in ((0, None), (1, None), (3, "every dry run has stopped before its end")):
+        odds = odds_of(plan, [replace(whole, exit_code=exit_code)] * 4)
+        assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, why], "no job of the plan's follows it"
+
+
+def test_what_a_dry_run_asks_a_person_nobody_answers_at_night(desk: Desk) -> None:
+    plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
+    whole = trial_of(plan, 60.0)
+    asked = replace(whole, asked_s={"m-2": 150.0})
+    for many, why in ((1, None), (2, "in 2 of 20 dry runs a person was asked for something before its end")):
+        odds = odds_of(plan, [*[whole] * (20 - many), *[asked] * many])
+        assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, None, why, why]
+
+
+ASKING = """recipe: asking
+workflow: fails
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}}
+samples:
+  - {id: a, source: beads}
+on_failure: {otherwise: ask}
+"""
+
+
+def test_a_trial_says_when_a_person_was_asked(lab_folder: LabFolder) -> None:
+    tree = "tree: {timeout: {duration: 5 s, child: {wait: {duration: 10 s}}}}\n"
+    lab_folder.write("trees/fails.yaml", f"workflow: fails\ninputs: {{source: Source}}\n{tree}")
+    one = trial(Setup(lab_folder.write("recipes/asking.yaml", ASKING), lab_folder.folder), 0)
+    assert list(one.asked_s) == ["a"]
+    assert 5.0 <= one.asked_s["a"] < one.began_s["finish the batch"]
 
 
 def test_plan_says_what_its_night_holds(lab_folder: LabFolder, command: Call) -> None:

@@ -100,6 +100,14 @@ def test_a_lot_whose_samples_need_a_person_themselves_is_neither_first_nor_last(
     assert [one.id for one in found] == ["c", "m", "n", "d"]
 
 
+def test_the_longest_lot_comes_first_behind_what_takes_no_powder() -> None:
+    samples = [sample("a", "a", "a"), sample("b", "b", "b"), sample("c", "c", "c"), sample("d", "d", "d")]
+    blank = SimpleNamespace(id="blank", sources=[], last_source=None)
+    taken_s = {"a": 2.0, "b": 8.0, "c": 1.0, "d": 9.0, "blank": 20.0}
+    found = in_order("persons_together", [*samples, blank], lambda one: taken_s[one.id])
+    assert [one.id for one in found] == ["blank", "d", "a", "c", "b"]
+
+
 @pytest.mark.parametrize("order", ORDERS)
 def test_within_a_lot_samples_stay_as_written(order: str) -> None:
     samples = [sample(str(number), "a", "a") for number in range(5)]

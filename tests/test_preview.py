@@ -71,7 +71,9 @@ def test_the_page_says_how_much_powder_is_used_and_when_a_person_is_needed(made:
     persons = tables.found["run time, job, what"][1:]
     assert persons[0][0] == "before the start"
     swap = next(row for row in persons if "change powder" in row[1])
-    assert format_duration(odds.began_s[swap[1]].middle) in swap[0]
+    asked = odds.asked_s[swap[1]]
+    assert odds.began_s[swap[1]].middle < asked.middle, "what is left in the cone is returned first"
+    assert format_duration(asked.middle) in swap[0]
     assert any(row[0] == "if a sample fails" and "dose.overshoot" in row[2] for row in persons)
 
 

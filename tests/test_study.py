@@ -24,7 +24,7 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.sim.powder import OurPowderFlow
-from scuhand_bt.study.change import changed, with_value
+from scuhand_bt.study.change import changed, files_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import diff, optimised
 from scuhand_bt.study.pool import all_trials, executor_of
@@ -32,7 +32,7 @@ from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.store import open_store
 from scuhand_bt.study.table import write_table
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
-from scuhand_bt.study.vary import Vary, goes_with, read_vary
+from scuhand_bt.study.vary import Vary, goes_with, means_of, read_vary
 from tests.conftest import REPOSITORY, Call, LabFolder
 
 RECIPE = """recipe: two
@@ -108,6 +108,26 @@ def test_a_study_that_broke_off_goes_on_and_one_of_other_files_begins_anew(setup
     with open_store(kept, setup) as store:
         dict(all_trials([(setup, 0)], inline, store))
     assert inline.ran == 5
+
+
+@pytest.mark.parametrize("file", ["recipes/two.yaml", "recipes/rows.csv", "robot/powders.yaml"])
+def test_trials_of_files_that_are_changed_meanwhile_are_not_taken_for_theirs(setup: Setup, file: str) -> None:
+    rows = setup.lab / "recipes" / "rows.csv"
+    rows.write_text("id,source,container,mass [mg]\nd,beads,xrd_holder,40\n", encoding="utf-8")
+    setup.recipe.write_text(f"{RECIPE}  - {{table: rows.csv}}\n", encoding="utf-8")
+    begun = replace(setup, files=files_hash(setup.recipe, setup.lab))
+    with (setup.lab / file).open("a", encoding="utf-8") as edited:
+        edited.write("\n")
+    for changes in ((), ((FLOW, "90"),)):
+        with pytest.raises(SourceError, match="its lab has changed since these dry runs began"):
+            trial(replace(begun, changes=changes), 1)
+
+
+def test_another_study_in_one_process_is_of_the_files_of_today(setup: Setup) -> None:
+    before = trial(replace(setup, files=files_hash(setup.recipe, setup.lab)), 0)
+    setup.recipe.write_text(RECIPE.replace("30 mg", "31 mg"), encoding="utf-8")
+    after = trial(replace(setup, files=files_hash(setup.recipe, setup.lab)), 0)
+    assert [one.samples[2].target_mg for one in (before, after)] == [30.0, 31.0], "as on a Dask worker"
 
 
 def test_physics_of_ones_own_that_were_changed_are_tried_anew(
@@ -256,6 +276,20 @@ def test_ranks_tell_what_goes_with_a_figure() -> None:
     assert goes_with([*masses, replace(masses[0], changes=(("m", "3 s"),))], [1.0, 2.0, 3.0, 4.0]) == {}
 
 
+def test_of_a_place_with_names_the_mean_with_each_is_told(setup: Setup, command: Call, tmp_path: Path) -> None:
+    draws = [
+        Setup(Path("r"), Path("l"), changes=((FLOW, str(flow)), ("recipe.controller", name)))
+        for flow, name in ((1, "paper"), (2, "adaptive"), (3, "paper"))
+    ]
+    assert means_of(draws, [9.0, 5.0, 1.0]) == {"recipe.controller": {"paper": 5.0, "adaptive": 5.0}}
+    setup.recipe.write_text(RECIPE.replace("workflow", "controller: paper\nworkflow", 1), encoding="utf-8")
+    vary = tmp_path / "vary.yaml"
+    vary.write_text("{design: grid, vary: {recipe.controller: [adaptive, paper]}}", encoding="utf-8")
+    shown = command("study", setup.recipe, "--trials", 1, "--vary", vary, "--workers", 1).stdout
+    assert [shown.count(text) for text in ("recipe.controller: adaptive", "recipe.controller: paper")] == [2, 2]
+    assert shown.count(" on average") == 4
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -263,6 +297,8 @@ def test_ranks_tell_what_goes_with_a_figure() -> None:
         ("vary: {a.b: {from: 60 mg, to: 20 mg}}", "a range goes from a smaller to a larger number"),
         ("{design: sobol, draws: 12, vary: {a.b: [x]}}", "a sobol design takes a power of two"),
         ("{design: random, vary: {a.b: [x]}}", "design"),
+        ("vary: {a.b: {from: 1 mg, to: 1e999 mg}}", "a range goes from a smaller to a larger number"),
+        ("vary: {a.b: {from: -1e309, to: 2}}", "a range goes from a smaller to a larger number"),
         ("vary: {}", "vary"),
         ("vary: {recipe.order: []}", "a list of at least 1"),
         ("{design: grid, draws: 300, vary: {a.b: {from: 1, to: 2}, c.d: {from: 1, to: 2}}}", "a grid of 90000 points"),
@@ -430,6 +466,23 @@ def test_a_value_is_changed_where_it_stands_and_all_else_stays_as_written() -> N
     assert with_value(text, "powders.list.0.a", 3.0) == text.replace("'x'", "3.0")
     with pytest.raises(SourceError, match="'spred' is not there; known: coefficient, spread"):
         with_value(text, "powders.glass_beads.belief.spred", "20 %")
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("recipe.a.mass", "'mass' has an anchor (&), and would change wherever its alias (*) is; write it out"),
+        ("recipe.b.mass", "'mass' has an anchor (&)"),
+        ("recipe.c.k", "'c' has an anchor (&)"),
+        ("recipe.d.0.k", "'0' has an anchor (&)"),
+        ("recipe.e", "nothing is written there; write a value, which is then varied"),
+    ],
+)
+def test_a_value_that_stands_elsewhere_too_is_not_changed(place: str, said: str) -> None:
+    text = "a: {mass: &m 50 mg}\nb: {mass: *m}\nc: &x {k: 1}\nd:\n  - *x\ne:\n"
+    with pytest.raises(SourceError) as wrong:
+        with_value(text, place, "20 mg")
+    assert str(wrong.value).startswith(f"{place}: {said}")
 
 
 @pytest.mark.slow

@@ -89,12 +89,12 @@ def plan(
     if odds is not None:
         tell_odds(odds)
     rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
-    out.print(f"\nSheet swaps: {made.swaps}.{rough}")
+    out.print(f"\nSheet swaps between samples: {made.swaps}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
     if all(person.job is None for person in made.persons):
         out.print("After the start no person is needed.")
     for person in made.persons:
-        when = odds.began_s.get(person.job or "") if odds is not None else None
+        when = odds.person_s(person.job or "") if odds is not None else None
         at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
         out.print(Text(f"A person is {person}{at}."))
     if odds is not None:
@@ -118,9 +118,10 @@ def _night_values(made: "Plan", odds: "Odds", hours: "Night") -> dict[str, Any]:
 
 def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":
     """By the first seeds, in the background; what fails there by itself says so."""
-    from scuhand_bt.study import Setup, all_trials, executor_of, odds_of
+    from scuhand_bt.study import Setup, all_trials, executor_of, files_hash, odds_of
 
-    setup = Setup(made.recipe.path.absolute(), loaded.folder.absolute())
+    recipe, folder = made.recipe.path.absolute(), loaded.folder.absolute()
+    setup = Setup(recipe, folder, files=files_hash(recipe, folder))
     with executor_of(workers, None) as executor:
         found = dict(all_trials([(setup, seed) for seed in range(trials)], executor))
     return odds_of(made, [found[setup, seed] for seed in range(trials)])

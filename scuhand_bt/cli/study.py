@@ -50,6 +50,7 @@ def study(
         Setup,
         all_trials,
         executor_of,
+        files_hash,
         odds_of,
         open_store,
         read_vary,
@@ -64,15 +65,16 @@ def study(
         raise typer.BadParameter("a Dask cluster has its own", param_hint="--workers")
     check_controller(controller)
     made, opened = the_plan(recipe, lab)
-    setup = Setup(recipe.absolute(), opened.lab.folder.absolute(), controller, plant)
+    path, folder = recipe.absolute(), opened.lab.folder.absolute()
+    setup = Setup(path, folder, controller, plant, files=files_hash(path, folder))
     varied = read_vary(vary, setup.recipe, setup.lab) if vary is not None else None
     if varied is not None and controller is not None and "recipe.controller" in varied.vary:
         raise typer.BadParameter("it is what --vary names", param_hint="--controller")
-    path = store or opened.state / "studies.sqlite"
+    kept_in = store or opened.state / "studies.sqlite"
     if optimise is not None:
         if varied is None:
             raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
-        with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
+        with open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
             seeds = range(first_seed, first_seed + trials)
             _propose(setup, varied, optimise, seeds, executor, kept, as_json=as_json)
         return
@@ -81,7 +83,7 @@ def study(
         raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
     tasks = [(draw, seed) for draw in draws for seed in range(first_seed, first_seed + trials)]
     found: dict[Task, Trial] = {}
-    with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
+    with open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
         going = all_trials(tasks, executor, kept)
         for task, one in track(going, "trials", len(tasks), console=err, disable=not err.is_terminal):
             found[task] = one
@@ -96,7 +98,7 @@ def study(
     tell_odds(odds)
     if dominant:
         _tell_dominant(dominant, varied.design if varied is not None else "")
-    out.print(Text(f"Trials are kept in {path}"), soft_wrap=True)
+    out.print(Text(f"Trials are kept in {kept_in}"), soft_wrap=True)
 
 
 def _propose(
@@ -156,8 +158,8 @@ def _range(found: "Range", told: Any) -> str:
 
 
 def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Trial]]") -> dict[str, dict[str, Any]]:
-    """Of success and time: Sobol indices by place, or how each goes with the place (Spearman), where it is a range."""
-    from scuhand_bt.study import goes_with
+    """Of success and time: Sobol indices by place; or how each goes with its numbers (Spearman), the mean by name."""
+    from scuhand_bt.study import goes_with, means_of
 
     figures: dict[str, dict[Setup, list[float]]] = {"good": {}, "duration_s": {}}
     for (setup, _), one in ordered:
@@ -170,7 +172,11 @@ def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Tri
             name: {place: {"first": first, "total": total} for place, (first, total) in vary.indices(of).items()}
             for name, of in means.items()
         }
-    return {name: {p: {"rank": r} for p, r in goes_with(draws, of).items()} for name, of in means.items()}
+    return {
+        name: {place: {"rank": rank} for place, rank in goes_with(draws, of).items()}
+        | {place: {"means": by_name} for place, by_name in means_of(draws, of).items()}
+        for name, of in means.items()
+    }
 
 
 def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
@@ -178,7 +184,13 @@ def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
     heads = {"first": "Sobol, first order", "total": "Sobol, total", "rank": "rank correlation"}
     for name, places in dominant.items():
         table = Table(f"what {name} depends on", *(heads[column] for column in columns), show_edge=False)
-        for place, values in sorted(places.items(), key=lambda item: -abs(item[1][columns[-1]])):
+        by_name = {place: values["means"] for place, values in places.items() if "means" in values}
+        ranked = [item for item in places.items() if item[0] not in by_name]
+        for place, values in sorted(ranked, key=lambda item: -abs(item[1][columns[-1]])):
             table.add_row(place, *(f"{values[column]:.2f}" for column in columns))
+        for place, named in by_name.items():
+            for value, mean in named.items():
+                came = format_duration(mean) if name == "duration_s" else f"{mean:.0%}"
+                table.add_row(f"{place}: {value}", f"{came} on average")
         out.print()
         out.print(table)

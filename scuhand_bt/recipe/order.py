@@ -3,8 +3,8 @@
 by_powder         by the lot that each begins with, in the order of first mention
 as_written        as the recipe says
 fastest           with as few changes of the sheet between samples as there can be
-persons_together  by powder, with the two longest stretches that need no person first and last: whoever changes the
-                  sheets is needed only between them
+persons_together  by powder, with the two longest stretches that need no person first and last, the longest first:
+                  whoever changes the sheets is needed only between them. What takes no powder comes before them
 """
 
 from collections import defaultdict, deque
@@ -26,9 +26,10 @@ def in_order(order: str, samples: Sequence[Sample], duration_s: Callable[[Sample
         groups[_first(sample)].append(sample)
     lots = list(groups)
     if order == "persons_together":
-        alone = [lot for lot in lots if all(_first(one) == _last(one) for one in groups[lot])]
-        alone.sort(key=lambda lot: sum(map(duration_s, groups[lot])))
-        lots = [*alone[-2:-1], *(lot for lot in lots if lot not in alone[-2:]), *alone[-1:]]
+        alone = [lot for lot in lots if lot and all(_first(one) == _last(one) for one in groups[lot])]
+        alone.sort(key=lambda lot: -sum(map(duration_s, groups[lot])))
+        first, last = [*(lot for lot in lots if not lot), *alone[:1]], alone[1:2]
+        lots = [*first, *(lot for lot in lots if lot not in (*first, *last)), *last]
     return [sample for lot in lots for sample in groups[lot]]
 
 

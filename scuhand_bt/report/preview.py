@@ -92,14 +92,14 @@ def _jobs(plan: Plan, odds: Odds) -> Iterator[dict[str, Any]]:
                 sample.container.name if sample is not None and sample.container is not None else "",
                 mass,
                 f"± {tolerance}" if tolerance else "",
-                _began(job.name, odds),
+                _when(odds.began_s.get(job.name)),
                 f"{chance.probability:.0%} ({chance.low:.0%} to {chance.high:.0%})" if chance is not None else "",
             ],
         }
 
 
-def _began(job: str, odds: Odds) -> str:
-    return _range(odds.began_s[job], format_duration) if job in odds.began_s else NEVER
+def _when(found: Range | None) -> str:
+    return _range(found, format_duration) if found is not None else NEVER
 
 
 def _powder_columns(odds: Odds) -> list[str]:
@@ -124,11 +124,11 @@ def _powders(plan: Plan, odds: Odds) -> Iterator[list[str]]:
 
 
 def _persons(plan: Plan, odds: Odds) -> Iterator[list[str]]:
-    """Every moment of the plan that needs a person, with when its job begins."""
+    """Every moment of the plan that needs a person, with when that is."""
     yield ["before the start", "", "the sources filled and in their places, a fresh sheet in the hand"]
     for person in plan.persons:
         if person.job is None:
             yield ["if a sample fails", "", person.what]
         else:
-            began = _began(person.job, odds)
-            yield [began if began == NEVER else f"after {began}", person.job, person.what]
+            when = _when(odds.person_s(person.job))
+            yield [when if when == NEVER else f"after {when}", person.job, person.what]

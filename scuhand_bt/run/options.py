@@ -82,7 +82,7 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
         recipe_text=plan.recipe.text,
         recipe_path=str(plan.recipe.path.absolute()),
         lab=str(lab.folder.absolute()),
-        lab_files=lab_files(lab),
+        lab_files=lab_files(lab.folder),
         cell=lab.cell.cell,
         simulated=cell.simulated,
         unattended=options.unattended,

@@ -102,13 +102,13 @@ def resumable(
     return Resumable(path, history, changes, presence)
 
 
-def lab_files(lab: Lab) -> dict[str, str]:
-    """SHA-256 of everything in the lab that a run depends on, beside its recipe."""
+def lab_files(lab: Path) -> dict[str, str]:
+    """SHA-256 of everything in a lab's folder that a run depends on, beside its recipe."""
     files: dict[str, str] = {}
     for folder in LAB_FOLDERS:
-        for path in files_of(lab.folder / folder, "**/*"):
+        for path in files_of(lab / folder, "**/*"):
             if path.is_file() and "__pycache__" not in path.parts and not path.name.endswith(TEST_SUFFIX):
-                name = path.relative_to(lab.folder).as_posix()
+                name = path.relative_to(lab).as_posix()
                 files[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return files
 
@@ -143,7 +143,7 @@ def _changes(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
     if history.run.recipe_hash != plan.recipe.hash:
         yield f"the recipe {plan.recipe.path} or one of its tables has changed"
     before = history.run.lab_files
-    now = lab_files(lab)
+    now = lab_files(lab.folder)
     for name in sorted(before.keys() | now.keys()):
         if before.get(name) != now.get(name):
             what = "was added" if name not in before else "is gone" if name not in now else "has changed"

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from scuhand_bt.fronts import front
 
 if TYPE_CHECKING:
+    from scuhand_bt.study.change import files_hash
     from scuhand_bt.study.night import Night, fates, in_words, read_night
     from scuhand_bt.study.odds import Odds, Range, odds_of
     from scuhand_bt.study.optimise import diff, optimised
@@ -13,11 +14,12 @@ if TYPE_CHECKING:
     from scuhand_bt.study.store import Store, open_store
     from scuhand_bt.study.table import TABLE_KINDS, write_table
     from scuhand_bt.study.trial import Setup, Task, Trial
-    from scuhand_bt.study.vary import Vary, goes_with, read_vary
+    from scuhand_bt.study.vary import Vary, goes_with, means_of, read_vary
 else:
     __getattr__, __dir__ = front(
         __name__,
         {
+            "study.change": "files_hash",
             "study.night": "Night fates in_words read_night",
             "study.odds": "Odds Range odds_of",
             "study.optimise": "diff optimised",
@@ -26,7 +28,7 @@ else:
             "study.store": "Store open_store",
             "study.table": "TABLE_KINDS write_table",
             "study.trial": "Setup Task Trial",
-            "study.vary": "Vary goes_with read_vary",
+            "study.vary": "Vary goes_with means_of read_vary",
         },
     )
 
@@ -44,8 +46,10 @@ __all__ = [
     "diff",
     "executor_of",
     "fates",
+    "files_hash",
     "goes_with",
     "in_words",
+    "means_of",
     "odds_of",
     "open_store",
     "optimised",

@@ -5,6 +5,7 @@ A place is named by its file and its keys, with dots between them: `recipe.sampl
 any recipe and any lab is.
 """
 
+import hashlib
 import json
 import re
 import shutil
@@ -20,6 +21,7 @@ import yaml
 from scuhand_bt.lab import CELL_FILE
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.expansion import tables_named
+from scuhand_bt.run.resume import lab_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
@@ -27,6 +29,14 @@ Changes: TypeAlias = tuple[tuple[str, Value], ...]
 
 FOLDERS = ("robot", "trees", "skills")
 FILES = {"powders": "robot/powders.yaml", "containers": "robot/containers.yaml", "cell": str(CELL_FILE)}
+
+
+def files_hash(recipe: Path, lab: Path) -> str:
+    """SHA-256 of a recipe, its tables and all that a run depends on in its lab, as they are written."""
+    text = recipe.read_text(encoding="utf-8")
+    tables = {str(table.text): recipe.parent / str(table.text) for table in tables_named(text, str(recipe))}
+    found = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in tables.items() if path.is_file()}
+    return hashlib.sha256(json.dumps([text, found, lab_files(lab)], sort_keys=True).encode()).hexdigest()
 
 
 @contextmanager
@@ -74,11 +84,17 @@ def _of_original(problem: Problem, originals: Iterable[tuple[Path, Path]], chang
 def with_value(text: str, place: str, value: Value) -> str:
     """A file's text with another value at a place (`FILE.KEY.KEY`); all else stays as it is written.
 
-    Raises SourceError for a place that there is not.
+    Raises SourceError for a place that there is not, or that cannot be changed by itself.
     """
     node: Any = yaml.compose(text, yaml.BaseLoader)
     for key in place.split(".")[1:]:
         node = _below(node, key, place)
+        if text.startswith("&", node.start_mark.index):  # as where it is an alias: that is the node of its anchor
+            raise _refused(
+                place, f"'{key}' has an anchor (&), and would change wherever its alias (*) is; write it out"
+            )
+    if node.start_mark.index == node.end_mark.index:
+        raise _refused(place, "nothing is written there; write a value, which is then varied")
     new = str(value)
     if not re.fullmatch(r"[\w.+/^° -]+", new):
         new = json.dumps(new, ensure_ascii=False)
@@ -98,7 +114,11 @@ def _below(node: Any, key: str, place: str) -> Any:
 
 def _no_such(place: str, known: list[str], key: str = "") -> SourceError:
     what = f"'{key}' is not there" if key else "a place begins with its file"
-    return SourceError([Problem(Mark(place, 0), f"{what}; known: {', '.join(known) or 'nothing'}")])
+    return _refused(place, f"{what}; known: {', '.join(known) or 'nothing'}")
+
+
+def _refused(place: str, what: str) -> SourceError:
+    return SourceError([Problem(Mark(place, 0), what)])
 
 
 def file_of(place: str, recipe: Path, lab: Path) -> Path:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from scuhand_bt.events.cell import Discarded, Kept, Refilled, Returned, Scooped
 from scuhand_bt.events.entry import Event, Note
+from scuhand_bt.journal.events import Asked
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
@@ -22,7 +23,7 @@ from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.plant import PlantError
-from scuhand_bt.study.change import changed
+from scuhand_bt.study.change import changed, files_hash
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, into
 
@@ -39,7 +40,6 @@ def dry_run(setup: Setup, seed: int) -> Trial:
 
 def _dry_run(setup: Setup, seed: int) -> Trial:
     plan, lab, motion = _made(setup)
-    began, moved = _Began(), _Moved()
     plant = SOME_CELL if setup.plant is None else setup.plant
     SomeCell.seed = seed
     with tempfile.TemporaryDirectory(prefix="scuhand-trial-") as folder:
@@ -48,15 +48,15 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
         assert session.world is not None
         try:
             before_mg = session.world.masses_mg
-            began.session = session
-            session.journal.heard = moved.heard
-            result = session.run(began)
+            told = _Told(session)
+            session.journal.heard = told.heard
+            result = session.run(told)
             after_mg = session.world.masses_mg
         finally:
             session.close()
     vessels = {station.name for station in lab.cell.vessels}
     became_mg = {name: defaultdict[str, float](float) for name in plan.recipe.sources}
-    for event in moved.left:
+    for event in told.left:
         if event.source in became_mg:
             to = event.to if isinstance(event, Discarded) else None
             became = into(to) if to is not None and to in vessels else event.KIND
@@ -77,42 +77,41 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
         )
         for one in result.samples
     )
-    had_mg = {name: before_mg.get(f"source:{name}", 0.0) + moved.refilled_mg[name] for name in names}
+    had_mg = {name: before_mg.get(f"source:{name}", 0.0) + told.refilled_mg[name] for name in names}
     used_mg = {name: had_mg[name] - after_mg.get(f"source:{name}", 0.0) for name in names}
     return Trial(
         seed,
         int(result.exit_code),
         result.duration_s,
-        began.at_s,
+        told.began_s,
         samples,
-        {name: moved.scoops[name] for name in names},
+        {name: told.scoops[name] for name in names},
         used_mg,
         {name: dict(mg) for name, mg in became_mg.items()},
+        told.asked_s,
     )
 
 
-class _Began(BatchObserver):
-    """When each job began."""
+class _Told(BatchObserver):
+    """When each job began and a person was asked in it, and what has become of the sources' powder."""
 
-    session: Session
-
-    def __init__(self) -> None:
-        self.at_s: dict[str, float] = {}
-
-    def job_started(self, job: Job, number: int) -> None:
-        self.at_s.setdefault(job.name, self.session.cell.clock.now_s)
-
-
-class _Moved:
-    """What has become of the sources' powder, as the run tells its journal."""
-
-    def __init__(self) -> None:
+    def __init__(self, session: Session) -> None:
+        self._clock = session.cell.clock
+        self._job = session.plan.jobs[0].name  # what is asked before it is asked for it
+        self.began_s: dict[str, float] = {}
+        self.asked_s: dict[str, float] = {}
         self.scoops = Counter[str]()
         self.refilled_mg = defaultdict[str, float](float)
         self.left: list[Kept | Returned | Discarded] = []
 
+    def job_started(self, job: Job, number: int) -> None:
+        self._job = job.name
+        self.began_s.setdefault(job.name, self._clock.now_s)
+
     def heard(self, event: Event | Note) -> None:
         match event:
+            case Asked():
+                self.asked_s.setdefault(self._job, self._clock.now_s)
             case Scooped():
                 self.scoops[event.source] += 1
             case Refilled():
@@ -126,4 +125,8 @@ def _made(setup: Setup) -> tuple[Plan, Lab, MotionPlanner]:
     with changed(setup.recipe, setup.lab, setup.changes) as (recipe, folder):
         lab = load_lab(folder)
         plan = make_plan(load_recipe(recipe, lab), lab)
-        return plan, lab, prepared_motion(plan, lab)
+        made = plan, lab, prepared_motion(plan, lab)
+    if setup.files not in ("", files_hash(setup.recipe, setup.lab)):
+        problem = "it, a table of it or its lab has changed since these dry runs began; begin them again"
+        raise SourceError([Problem(Mark(str(setup.recipe), 0), problem)])
+    return made

@@ -64,12 +64,15 @@ def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
             waits = f"a person is needed before, at '{job.name}': {needed[job.name]}"
         if job.sample is None:
             continue
-        stopped = odds.trials - odds.begun[following or job.name]
+        stopped, asked = odds.trials - odds.ended[job.name], odds.ended[job.name] - odds.alone[job.name]
         if waits is not None:
             yield Fate(job.name, None, waits)
         elif 20 * stopped > odds.trials:  # counted is what 19 of 20 have done by then
             of = "every dry run has" if stopped == odds.trials else f"{stopped} of {odds.trials} dry runs have"
             yield Fate(job.name, None, f"{of} stopped before its end")
+        elif 20 * (stopped + asked) > odds.trials:
+            of = "every dry run" if asked == odds.trials else f"{asked} of {odds.trials} dry runs"
+            yield Fate(job.name, None, f"in {of} a person was asked for something before its end")
         else:
             ended = odds.duration_s if following is None else odds.began_s[following]
             yield Fate(job.name, ended.high, "it may take longer" if ended.high > night.lasts_s else None)
@@ -105,5 +108,6 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Iterator[str]:
             reasons.setdefault(fate.why, []).append(fate.sample)
     for why, samples in reasons.items():
         yield f"Not {', '.join(samples)}: {why}."
-    if len(fit) < len(found) and (better := better_order(plan, lab, odds, night)) is not None:
+    better = better_order(plan, lab, odds, night) if len(fit) < len(found) else None
+    if better is not None and better[1] > len(fit):
         yield f"With `order: {better[0]}` it would be about {better[1]}."

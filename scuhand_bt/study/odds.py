@@ -7,7 +7,7 @@ lowered by `UNFORESEEN` likewise. `benchmarks.forecasts` holds both against runs
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,8 @@ from scipy.special import betaln
 from scipy.stats import beta, t
 
 from scuhand_bt.dosing.verdict import LIKELY
-from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.study.trial import LEFTOVERS, SampleTrial, Trial
 
@@ -64,8 +65,12 @@ class Odds:
     duration_s: Range
     began_s: Mapping[str, Range]
     """When each job begins, by its name; of those that any trial has begun."""
-    begun: Mapping[str, int]
-    """How many trials have begun it."""
+    asked_s: Mapping[str, Range]
+    """When a person is first asked for something in a job, by its name; of those in which any trial has asked one."""
+    ended: Mapping[str, int]
+    """How many trials have come to the end of each job."""
+    alone: Mapping[str, int]
+    """How many of these with nobody asked for anything until then."""
     samples: Mapping[str, Chance]
     scoops: Mapping[str, Range]
     """By source."""
@@ -74,6 +79,10 @@ class Odds:
     """By source and by what became of it, the same for each, the powder that was left in the cone after doses."""
     codes: Mapping[str, float]
     """How many samples of a run fail so, on average; the most frequent first."""
+
+    def person_s(self, job: str) -> Range | None:
+        """When a person is needed in a job; where no trial has asked for one, when it begins, if any has begun it."""
+        return self.asked_s.get(job) or self.began_s.get(job)
 
     @property
     def unlikely(self) -> list[str]:
@@ -85,16 +94,19 @@ class Odds:
 def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
     """The odds of a plan by its trials, at least one."""
     vessels = sorted({kind for trial in found for mg in trial.leftovers_mg.values() for kind in mg} - {*LEFTOVERS})
+    first_asked_s = [min(trial.asked_s.values(), default=math.inf) for trial in found]
     codes = Counter(one.code or one.verdict for trial in found for one in trial.samples if not one.good)
+    ends_s = {job.name: [_ended_s(trial, following) for trial in found] for job, following in _followed(plan)}
     return Odds(
         trials=len(found),
         duration_s=_of_times([trial.duration_s for trial in found]),
-        began_s={
-            job.name: _of_times(began_s)
-            for job in plan.jobs
-            if (began_s := [trial.began_s[job.name] for trial in found if job.name in trial.began_s])
+        began_s=_of_jobs(plan, [trial.began_s for trial in found]),
+        asked_s=_of_jobs(plan, [trial.asked_s for trial in found]),
+        ended={job: sum(end_s is not None for end_s in of) for job, of in ends_s.items()},
+        alone={
+            job: sum(end_s is not None and end_s <= asked_s for end_s, asked_s in zip(of, first_asked_s, strict=True))
+            for job, of in ends_s.items()
         },
-        begun={job.name: sum(job.name in trial.began_s for trial in found) for job in plan.jobs},
         samples=_chances(plan, found),
         scoops={name: _seen([trial.scoops[name] for trial in found]) for name in plan.recipe.sources},
         used_mg={name: _seen([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},
@@ -107,6 +119,24 @@ def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
         },
         codes={code: count / len(found) for code, count in codes.most_common()},
     )
+
+
+def _followed(plan: Plan) -> Iterator[tuple[Job, str | None]]:
+    """The jobs of a plan, each with the name of the one that follows it."""
+    return zip(plan.jobs, [*(job.name for job in plan.jobs[1:]), None], strict=True)
+
+
+def _ended_s(trial: Trial, following: str | None) -> float | None:
+    """When a job with this one behind it came to its end; None for one that stopped the run, or was not come to."""
+    if following is not None:
+        return trial.began_s.get(following)
+    return trial.duration_s if trial.exit_code in (ExitCode.OK, ExitCode.FLAGGED) else None
+
+
+def _of_jobs(plan: Plan, times_s: Sequence[Mapping[str, float]]) -> dict[str, Range]:
+    """A time of each job, by trials; of those that any has."""
+    by_job = {job.name: [of[job.name] for of in times_s if job.name in of] for job in plan.jobs}
+    return {job: _of_times(found) for job, found in by_job.items() if found}
 
 
 def _of_times(times_s: Sequence[float]) -> Range:

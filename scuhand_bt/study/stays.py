@@ -1,12 +1,12 @@
 """When persons come to a run: moments that need them soon after each other are one stay."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from scuhand_bt.quantity import format_duration
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.study.night import Night
-from scuhand_bt.study.odds import Odds
+from scuhand_bt.study.odds import Odds, Range
 
 APART_S = 1800.0
 """Between two moments, from the beginning of the first: who is needed again so soon stays."""
@@ -14,7 +14,7 @@ APART_S = 1800.0
 
 @dataclass(frozen=True)
 class Stay:
-    """Jobs that need a person, and when the first of them begins at the earliest and the last one at the latest."""
+    """Jobs that need a person, and when the first of them does at the earliest and the last one at the latest."""
 
     jobs: tuple[str, ...]
     from_s: float
@@ -24,20 +24,21 @@ class Stay:
 def stays(plan: Plan, odds: Odds) -> Iterator[Stay]:
     """The stays of persons after the start, in their order; of moments that any trial has come to."""
     needed = {person.job for person in plan.persons}
-    now: list[str] = []
+    now: list[tuple[str, Range]] = []
     for job in plan.jobs:
-        if job.name not in needed or job.name not in odds.began_s:
+        when = odds.person_s(job.name) if job.name in needed else None
+        if when is None:
             continue
-        if now and odds.began_s[job.name].middle - odds.began_s[now[-1]].middle > APART_S:
-            yield _stay(now, odds)
+        if now and when.middle - now[-1][1].middle > APART_S:
+            yield _stay(now)
             now = []
-        now.append(job.name)
+        now.append((job.name, when))
     if now:
-        yield _stay(now, odds)
+        yield _stay(now)
 
 
-def _stay(jobs: list[str], odds: Odds) -> Stay:
-    return Stay(tuple(jobs), odds.began_s[jobs[0]].low, odds.began_s[jobs[-1]].high)
+def _stay(moments: Sequence[tuple[str, Range]]) -> Stay:
+    return Stay(tuple(job for job, _ in moments), moments[0][1].low, moments[-1][1].high)
 
 
 def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]:

@@ -10,10 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import scuhand_bt
-from scuhand_bt.lab import load_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.resume import lab_files
+from scuhand_bt.study.change import files_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
@@ -24,9 +22,8 @@ class Store:
 
     def __init__(self, database: sqlite3.Connection, setup: Setup) -> None:
         self._database = database
-        lab = load_lab(setup.lab)
-        files = [load_recipe(setup.recipe, lab).hash, lab_files(lab), scuhand_bt.__version__, *_physics(setup.plant)]
-        self._files = json.dumps(files, sort_keys=True)
+        files = setup.files or files_hash(setup.recipe, setup.lab)
+        self._files = json.dumps([files, scuhand_bt.__version__, *_physics(setup.plant)])
 
     def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
         """Those of the tasks that were tried before, with the very files and program of today."""

@@ -5,7 +5,7 @@ It is made in a process of its own (`study/dry_run.py`), so that nothing here ne
 
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -30,6 +30,8 @@ class Setup:
     plant: str | None = None
     """Physics by `module:Class`; None: `some_cell`'s, another one for each seed."""
     changes: Changes = ()
+    files: str = ""
+    """What recipe and lab are to be (`files_hash`), wherever and whenever they are read; empty: whatever they are."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,8 @@ class Trial:
     """What each source has lost, by its name."""
     leftovers_mg: Mapping[str, Mapping[str, float]]
     """By source, what was left in the cone after doses: in sum kept for the next, returned, discarded, put away."""
+    asked_s: Mapping[str, float] = field(default_factory=dict)
+    """When a person was first asked for something in each job in which one was, by its name."""
 
 
 Task: TypeAlias = tuple[Setup, int]

@@ -40,7 +40,12 @@ class Between(Spec):
     @model_validator(mode="after")
     def _is_a_range(self) -> "Between":
         low, high = _NUMBER.fullmatch(self.from_.strip()), _NUMBER.fullmatch(self.to.strip())
-        if low is None or high is None or low[2].strip() != high[2].strip() or not float(low[1]) < float(high[1]):
+        if (
+            low is None
+            or high is None
+            or low[2].strip() != high[2].strip()
+            or not 0.0 < float(high[1]) - float(low[1]) < math.inf
+        ):
             raise ValueError(
                 "a range goes from a smaller to a larger number of the same unit, such as {from: 20 mg, to: 60 mg}"
             )
@@ -151,6 +156,19 @@ def goes_with(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, 
         if values is not None:
             is_flat = np.ptp(values) == 0.0 or np.ptp(figures) == 0.0
             found[place] = 0.0 if is_flat else float(spearmanr(values, figures).statistic)
+    return found
+
+
+def means_of(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, Mapping[str, float]]:
+    """The mean of a figure with each value of each place that has names, and no numbers."""
+    found: dict[str, dict[str, float]] = {}
+    for place in dict(draws[0].changes) if draws else ():
+        names = [str(dict(draw.changes)[place]) for draw in draws]
+        if _numbers(names) is None:
+            came: dict[str, list[float]] = {}
+            for name, figure in zip(names, figures, strict=True):
+                came.setdefault(name, []).append(figure)
+            found[place] = {name: sum(of) / len(of) for name, of in came.items()}
     return found
 
 
