@@ -10,7 +10,7 @@ import numpy as np
 
 from scuhand_bt.clock import Signal
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, WASTE, Compartment, MassLedger, in_container
+from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, SPILLED, WASTE, Compartment, MassLedger, in_container
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.specs import Container
 
@@ -39,7 +39,7 @@ class Pan:
         self._containers: dict[str, tuple[Container, float]] = {}
         self._empty_mg = 0.0
         self._inside: Compartment | None = None
-        self._gone: list[str] = []  # containers that a hand has carried off
+        self._gone: list[str] = []  # containers that a hand has carried off, or that were knocked over
         self._strangers: list[str] = []  # containers that are not those they were
         self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
 
@@ -82,6 +82,17 @@ class Pan:
         else:
             self.place(self._containers[container_id][0], end_s)
         self.news.fire()
+
+    def knock_over(self) -> None:
+        """What stands here, and what the carousel brings, falls with all that it holds."""
+        brought = self._swing[1] if self._swing is not None else None
+        for container_id in (self.container_id, brought):
+            if container_id is not None and container_id not in self._gone:
+                self._gone.append(container_id)
+                held_mg = self._ledger.masses_mg[in_container(container_id)]
+                self._ledger.transfer(in_container(container_id), SPILLED, held_mg)
+                self.log(self._known(container_id))
+        self._put(None)
 
     # --- in an outage ---
 

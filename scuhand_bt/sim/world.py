@@ -17,6 +17,7 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.cone_load import ConeLoad
+from scuhand_bt.sim.cone_over import ConePose
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
 from scuhand_bt.sim.mass_ledger import CONE, Compartment, MassLedger, in_container, in_source
@@ -26,6 +27,7 @@ from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.sim.snapshot import Memory, look_into
+from scuhand_bt.sim.sweep import Sweep
 from scuhand_bt.sim.under_the_cone import Surroundings
 from scuhand_bt.specs import Container, Source
 
@@ -71,6 +73,7 @@ class World:
         mortars = Mortars(spec, sources, plant, self.ledger)
         around = Surroundings(spec, sources)
         self.load = ConeLoad(self.ledger, self.pan, around, sources, plant, mortars, arm, hand, self.faults)
+        self._sweep = Sweep(spec)
         self._seed = seed
         self._arm, self._hand, self._balance = arm, hand, balance
         self._compartments = tuple((str(compartment), compartment) for compartment in self.ledger.masses_mg)
@@ -155,11 +158,20 @@ class World:
             return end_s
         opening_mm = hand.advance(end_s, dt_s)
         arm.advance(end_s)
+        if self.pan.is_swinging:
+            self._swing_on(end_s)
         landing_mg = load.advance(end_s, dt_s, opening_mm)
         balance.advance(end_s, dt_s, self.pan.gross_mg(landing_mg), landing_mg, hand.felt_vibration)
         self.now_s = end_s
         self.pan.advance(end_s)
         return end_s
+
+    def _swing_on(self, now_s: float) -> None:
+        """The carousel hits a cone that is in its way, and what it has to do with falls."""
+        at, hand = self._arm.pose(now_s), self._hand
+        cone = ConePose(1000.0 * at.position_m, at.axis, hand.cone_diameter_mm, hand.spec.sheet_radius_mm)
+        if self._sweep.meets(cone):
+            self.pan.knock_over()
 
     # --- outliving the program ---
 

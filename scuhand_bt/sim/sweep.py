@@ -1,0 +1,44 @@
+"""What a carousel sweeps on its way to the pan, and whether the cone is in there, whoever should have kept it out.
+
+It knows of no lease and of no skill, so that a dry run shows what these have let happen.
+"""
+
+import numpy as np
+
+from scuhand_bt.bench_spec import Obstacle
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.sim.cone_over import ConePose, Floats, Mask
+
+
+class Sweep:
+    """The zones of a cell that the pan is in."""
+
+    def __init__(self, spec: CellSpec) -> None:
+        pan_mm = np.array([spec.station_of_kind("balance").position_mm])
+        self._zones = [zone for zone in spec.zones if _from_above(zone, pan_mm).any()]
+
+    def meets(self, cone: ConePose) -> bool:
+        """Whether a point of the cone's outline is in one."""
+        if not self._zones:
+            return False
+        outline_mm = cone.outline_mm()
+        return any(bool((_from_above(zone, outline_mm) & _at_height(zone, outline_mm)).any()) for zone in self._zones)
+
+
+def _at_height(zone: Obstacle, points_mm: Floats) -> Mask:
+    """(m,): which of the points (m, 3) are as high as it is."""
+    *_, height_mm = zone.box_mm or zone.cylinder_mm or (0.0,)
+    at_height: Mask = np.abs(points_mm[:, 2] - zone.at_mm[2]) < height_mm / 2
+    return at_height
+
+
+def _from_above(zone: Obstacle, points_mm: Floats) -> Mask:
+    """(m,): which of the points (m, 3) are in it seen from above."""
+    aside_mm = (points_mm[:, :2] - zone.at_mm[:2]) @ (1.0, 1j)
+    if zone.box_mm is None:
+        diameter_mm, _ = zone.cylinder_mm or (0.0, 0.0)
+        in_circle: Mask = np.abs(aside_mm) < diameter_mm / 2
+        return in_circle
+    turned = aside_mm * np.exp(-1j * np.radians(zone.yaw_deg))
+    in_box: Mask = (np.abs(turned.real) < zone.box_mm[0] / 2) & (np.abs(turned.imag) < zone.box_mm[1] / 2)
+    return in_box
