@@ -284,10 +284,11 @@ def test_of_a_place_with_names_the_mean_with_each_is_told(setup: Setup, command:
     assert means_of(draws, [9.0, 5.0, 1.0]) == {"recipe.controller": {"paper": 5.0, "adaptive": 5.0}}
     setup.recipe.write_text(RECIPE.replace("workflow", "controller: paper\nworkflow", 1), encoding="utf-8")
     vary = tmp_path / "vary.yaml"
-    vary.write_text("{design: grid, vary: {recipe.controller: [adaptive, paper]}}", encoding="utf-8")
+    vary.write_text("{draws: 8, vary: {recipe.controller: [adaptive, paper]}}", encoding="utf-8")
     shown = command("study", setup.recipe, "--trials", 1, "--vary", vary, "--workers", 1).stdout
     assert [shown.count(text) for text in ("recipe.controller: adaptive", "recipe.controller: paper")] == [2, 2]
     assert shown.count(" on average") == 4
+    assert "By 2 dry runs" in shown, "draws that are alike are tried, and counted, once"
 
 
 @pytest.mark.parametrize(

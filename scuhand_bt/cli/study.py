@@ -79,9 +79,10 @@ def study(
             _propose(setup, varied, optimise, seeds, executor, kept, as_json=as_json)
         return
     draws = [setup] if varied is None else [replace(setup, changes=changes) for changes in varied.changes()]
-    if (many := len(draws) * trials) > MOST_TRIALS:
+    apart = list(dict.fromkeys(draws))  # of few names many draws are alike: the same dry runs tell nothing more
+    if (many := len(apart) * trials) > MOST_TRIALS:
         raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
-    tasks = [(draw, seed) for draw in draws for seed in range(first_seed, first_seed + trials)]
+    tasks = [(draw, seed) for draw in apart for seed in range(first_seed, first_seed + trials)]
     found: dict[Task, Trial] = {}
     with open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
         going = all_trials(tasks, executor, kept)
@@ -93,7 +94,7 @@ def study(
     odds = odds_of(made, [one for _, one in ordered])
     dominant = _dominant(varied, draws, ordered) if varied is not None else {}
     if as_json:
-        print_json({**asdict(odds), "draws": len(draws), "indices": dominant})
+        print_json({**asdict(odds), "draws": len(apart), "indices": dominant})
         return
     tell_odds(odds)
     if dominant:
