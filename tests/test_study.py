@@ -238,6 +238,24 @@ def test_the_processes_of_a_study_that_is_killed_end_too(tmp_path: Path) -> None
     assert ended.returncode == -signal.SIGKILL
 
 
+def test_a_study_that_breaks_off_while_its_processes_end_says_nothing_else(tmp_path: Path) -> None:
+    program = tmp_path / "study.py"
+    program.write_text(
+        "import os, signal, time\nfrom scuhand_bt.study import trial\nfrom scuhand_bt.study.pool import executor_of\n"
+        "def slow(setup, seed):\n    time.sleep(0.2)\n    return os.getpid()\n"
+        "if __name__ == '__main__':\n    trial.trial = slow\n    with executor_of(1, None) as executor:\n"
+        "        for _, process in trial.trials([(None, seed) for seed in range(50)], executor):\n"
+        "            os.kill(process, signal.SIGKILL)\n            raise KeyboardInterrupt\n",
+        encoding="utf-8",
+    )
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    command = [sys.executable, program]
+    ended = subprocess.run(command, capture_output=True, env=environment, timeout=60, check=False, text=True)
+    assert ended.returncode == -signal.SIGINT
+    assert "InvalidStateError" not in ended.stderr
+    assert ended.stderr.strip().endswith("KeyboardInterrupt")
+
+
 RANGES = {FLOW: {"from": "50", "to": "100"}, "recipe.samples.0.mass": {"from": "20 mg", "to": "60 mg"}}
 
 

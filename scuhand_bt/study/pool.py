@@ -21,7 +21,7 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
     if dask is None:
         many, spawn = workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")
         try:
-            with ProcessPoolExecutor(many, spawn, _end_with_parent) as pool:
+            with ProcessPoolExecutor(many, spawn, _end_with_parent) as pool, _ends_at_once(pool, cancel_futures=True):
                 yield pool
         except BrokenExecutor:
             problem = f"one of {many} processes was killed, as for want of memory: take fewer, and try again"
@@ -37,11 +37,25 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
         )
         raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
     try:
-        with client, client.get_executor() as pool:
+        with client, client.get_executor() as pool, _ends_at_once(pool):
             yield pool
     except (CancelledError, KilledWorker) as error:
         problem = f"the cluster was lost ({type(error).__name__}); the same command goes on with what was kept"
         raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
+
+
+@contextmanager
+def _ends_at_once(pool: Executor, **cancelling: bool) -> Iterator[None]:
+    """What breaks off waits for nothing that was not begun.
+
+    The pool drops that itself: where its tasks were cancelled one by one its own thread would break on them if a
+    process ended meanwhile, as each does at a Ctrl-C.
+    """
+    try:
+        yield
+    except BaseException:
+        pool.shutdown(wait=False, **cancelling)
+        raise
 
 
 def _end_with_parent() -> None:

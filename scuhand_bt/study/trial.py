@@ -85,9 +85,5 @@ def trial(setup: Setup, seed: int) -> Trial:
 def trials(tasks: Iterable[Task], executor: Executor) -> Iterator[tuple[Task, Trial]]:
     """Every task's trial, as they end, by whatever runs them: a pool of processes, or Dask's."""
     waiting = {executor.submit(trial, setup, seed): (setup, seed) for setup, seed in tasks}
-    try:
-        for done in as_completed(waiting):
-            yield waiting[done], done.result()
-    finally:
-        for future in waiting:
-            future.cancel()
+    for done in as_completed(waiting):
+        yield waiting[done], done.result()
