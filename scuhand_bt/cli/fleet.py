@@ -18,7 +18,6 @@ from scuhand_bt.quantity import format_duration
 
 if TYPE_CHECKING:
     from scuhand_bt.fleet import KnownStation, QueuedJob
-    from scuhand_bt.fleet.needs import Offer
 
 T = TypeVar("T")
 DatabaseOption = Annotated[
@@ -170,14 +169,15 @@ def fleet(
     table = Table("station", "cell", "heard of", "jobs", "before it", "state", show_edge=False)
     for one in found:
         heard = "now" if one.is_there else f"{format_duration(one.silent_s)} ago"
-        cell = _cell_of(one.offer) if one.offer is not None else "of another version"
         ahead = format_duration(one.ahead_s) if one.jobs else ""
-        table.add_row(one.name, cell, heard, str(one.jobs), ahead, one.state if one.is_there else f"was: {one.state}")
+        table.add_row(one.name, _cell_of(one), heard, str(one.jobs), ahead, one.state if one.is_there else f"was: {one.state}")
     out.print(table if found else "There are no stations.")
 
 
-def _cell_of(offer: "Offer") -> str:
-    return f"{offer.cell} (SIMULATED)" if offer.simulated else offer.cell
+def _cell_of(station: "KnownStation") -> str:
+    if station.offer is None:
+        return "of another version"
+    return f"{station.offer.cell} (SIMULATED)" if station.offer.simulated else station.offer.cell
 
 
 def _require_fleet() -> None:
