@@ -103,6 +103,19 @@ def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and
     assert blocked(lab) == []
 
 
+def test_a_mortar_with_so_thin_a_floor_that_handle_and_wrist_come_too_low_is_proposed_on_a_stand(
+    lab: LabFolder,
+) -> None:
+    dish = "bore: 90 mm, depth: 22.5 mm, height: 25.5 mm, outer_diameter: 110 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  dish: {{{dish}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
+    (message,) = blocked(lab)
+    assert "With 'mortar_bay' at [200 mm, 240 mm, 20 mm] it can scoop there" in message
+    lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240 mm, 20 mm]")
+    assert blocked(lab) == []
+
+
 def test_a_fresh_sheets_cone_that_is_wider_than_the_usual_one_must_come_everywhere_too(lab: LabFolder) -> None:
     """Between the mortar and a wall there is room for the usual cone, not for this one."""
     stands(lab, "  - {name: wall, box: [6 mm, 120 mm, 110 mm], at: [259 mm, 240 mm, 55 mm]}\n")

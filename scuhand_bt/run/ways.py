@@ -37,6 +37,8 @@ LEAST_BED_MG = 30.0
 LOWERING_M_PER_S = 0.06
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 """Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
+STANDS_MM = (20.0, 40.0)
+"""Or on a stand, as high as this, where it is: handle and wrist come low beside a mortar that is flat and thin."""
 BESIDE_MM = 10.0
 
 
@@ -178,13 +180,14 @@ def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg
 def _elsewhere(
     motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
 ) -> str:
-    """Where the first one's mortar might stand, of some places about the arm the nearest that has all ways; a sentence.
+    """Where the first one's mortar might stand, of some places about the arm the nearest that has all ways, or else
+    where it is, higher; a sentence.
 
     All are looked at with the mortar there: strokes, loads carried to the pan, and the same for the others.
     """
     source = scooped[0].source
     station = cell.stations[source.station]
-    z_mm = station.position_mm[2]
+    x_mm, y_mm, z_mm = station.position_mm
     places = [
         (
             round(out_mm * math.cos(math.radians(turn_deg)), -1),
@@ -193,7 +196,8 @@ def _elsewhere(
         )
         for out_mm, turn_deg in itertools.product(OUT_MM, (*TURNS_DEG, *(-turn_deg for turn_deg in TURNS_DEG)))
     ]
-    for place_mm in sorted(places, key=lambda place_mm: math.dist(place_mm, station.position_mm)):
+    places.sort(key=lambda place_mm: math.dist(place_mm, station.position_mm))
+    for place_mm in (*places, *((x_mm, y_mm, z_mm + stand_mm) for stand_mm in STANDS_MM)):
         if not _has_room(cell, station.name, place_mm, source):
             continue
         there = station.model_copy(update={"position_mm": place_mm})
