@@ -72,6 +72,20 @@ def test_a_mortar_that_cannot_be_scooped_from_anywhere_is_told_where_the_recipe_
     assert "container: dish" in recipe.read_text().splitlines()[problem.mark.line - 1]
 
 
+def test_a_bowl_of_which_a_stroke_may_bring_next_to_nothing_is_told_before_a_run_takes_it_for_empty(
+    lab: LabFolder,
+) -> None:
+    cup = "bore: 55 mm, depth: 18.15 mm, height: 33 mm, outer_diameter: 75 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  cup: {{{cup}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: cup", recipe.read_text()))
+    powders = lab.folder / "robot" / "powders.yaml"
+    lab.write("robot/powders.yaml", re.sub("wall_friction: .* deg", "wall_friction: 58 deg", powders.read_text()))
+    (problem,) = found(lab, "no-path")
+    assert re.search(r"a stroke in this bowl brings [\d.]+ mg without a heap over its edge", problem.message)
+    assert problem.mark.file == str(recipe)
+
+
 @pytest.mark.parametrize(
     ("said", "told"),
     [
