@@ -331,3 +331,21 @@ def test_coarser_grains_are_kept_farther_from_the_edge() -> None:
     assert ends_mm[1] < ends_mm[0] - 2.0
     ends_mm = [chosen(Bed(MORTAR, 12_000.0, powder), SHEET_MM, math.inf).end_mm for powder in (fine, coarse)]
     assert ends_mm[1] < ends_mm[0] - 1.5
+
+
+def test_after_a_load_that_brought_nothing_a_stroke_is_chosen_that_brings_some_wherever_that_lies() -> None:
+    in_mortar_mg, most_mg = 12_000.0, 4750.0
+    layer = layer_left(
+        chosen(Bed(SMALL, in_mortar_mg, BEADS), SHEET_MM, most_mg), Bed(SMALL, in_mortar_mg, BEADS), SHEET_MM
+    )
+    missed = replace(layer, beside_mg=layer.beside_mg + most_mg, missed_mg=most_mg)
+    bed, there = Bed(SMALL, in_mortar_mg, BEADS, missed), Bed(SMALL, in_mortar_mg - most_mg, BEADS, layer)
+    stroke = chosen(bed, SHEET_MM, most_mg / 2)
+    assert expected_mg(stroke, bed, SHEET_MM) <= most_mg / 2
+    assert expected_mg(stroke, there, SHEET_MM) > 0.2 * most_mg
+
+
+def test_less_than_what_lies_beside_and_comes_along_is_no_wish_that_cannot_be_met() -> None:
+    bed = Bed(SMALL, 12_000.0, BEADS, Layer(2.0, 7000.0, beside_mg=5000.0))
+    stroke = chosen(bed, SHEET_MM, 300.0)
+    assert 300.0 < expected_mg(stroke, bed, SHEET_MM) < 0.51 * 5000.0

@@ -72,6 +72,20 @@ def test_a_mortar_that_cannot_be_scooped_from_anywhere_is_told_where_the_recipe_
     assert "container: dish" in recipe.read_text().splitlines()[problem.mark.line - 1]
 
 
+def test_a_bowl_of_which_a_stroke_may_bring_next_to_nothing_is_told_before_a_run_takes_it_for_empty(
+    lab: LabFolder,
+) -> None:
+    cup = "bore: 55 mm, depth: 18.15 mm, height: 33 mm, outer_diameter: 75 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  cup: {{{cup}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: cup", recipe.read_text()))
+    powders = lab.folder / "robot" / "powders.yaml"
+    lab.write("robot/powders.yaml", re.sub("wall_friction: .* deg", "wall_friction: 58 deg", powders.read_text()))
+    (problem,) = found(lab, "no-path")
+    assert re.search(r"a stroke in this bowl brings [\d.]+ mg without a heap over its edge", problem.message)
+    assert problem.mark.file == str(recipe)
+
+
 @pytest.mark.parametrize(
     ("said", "told"),
     [
@@ -100,6 +114,19 @@ def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and
     proposed = re.search(r"With 'mortar_bay' at \[(.*)\] it can scoop there, and carry what it has scooped", message)
     assert proposed is not None, message
     lab.replace("robot/cell.yaml", "340 mm, -400 mm, 120 mm", proposed[1])
+    assert blocked(lab) == []
+
+
+def test_a_mortar_with_so_thin_a_floor_that_handle_and_wrist_come_too_low_is_proposed_on_a_stand(
+    lab: LabFolder,
+) -> None:
+    dish = "bore: 90 mm, depth: 22.5 mm, height: 25.5 mm, outer_diameter: 110 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  dish: {{{dish}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
+    (message,) = blocked(lab)
+    assert "With 'mortar_bay' at [200 mm, 240 mm, 20 mm] it can scoop there" in message
+    lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240 mm, 20 mm]")
     assert blocked(lab) == []
 
 

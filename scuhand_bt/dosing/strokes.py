@@ -178,7 +178,7 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
     """What a stroke is expected to leave; what falls back lies beside it."""
     pushed_mg = _pushed_mg(stroke, bed, sheet_radius_mm)
     falls_back_mg = _falls_back(stroke, bed, sheet_radius_mm) * pushed_mg
-    beside_mg = (1.0 - _found(stroke, bed, sheet_radius_mm)) * bed.beside_mg + falls_back_mg
+    beside_mg = bed.beside_mg - _found_mg(stroke, bed, sheet_radius_mm) + falls_back_mg
     if stroke.gap_mm <= LIP_GAP_MM:
         left_mg = bed.mass_mg - expected_mg(stroke, bed, sheet_radius_mm)
         return Layer(LIP_GAP_MM, max(0.0, left_mg - beside_mg), min(beside_mg, left_mg))
@@ -199,6 +199,8 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
     swept_mm = SWEPT_SHARE * bed.mortar.bowl_radius_mm * math.asin(bed.mortar.bore_mm / 2 / bed.mortar.bowl_radius_mm)
     whole = replace(deepest, begin_mm=min(deepest.begin_mm, -_on_grid(swept_mm, RIM_GRID_MM)))
     level_mm = bed.mortar.bowl_radius_mm * math.radians(_attack_deg(deepest, bed.mortar, sheet_radius_mm))
+    # What lies beside comes along at any gap: no less than that can be asked for.
+    wanted_mg = max(wanted_mg, _found_mg(deepest, bed, sheet_radius_mm))
 
     def may_be(ended: Stroke) -> bool:
         return ended.end_mm >= level_mm and most_mg(ended, bed, sheet_radius_mm) <= wanted_mg
@@ -262,14 +264,18 @@ def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
     strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
     above_mg = bed.above_mg(_left_mm(stroke, bed.powder), slip_mm(stroke, bed.mortar, sheet_radius_mm))
-    return strip * above_mg + _found(stroke, bed, sheet_radius_mm) * bed.beside_mg
+    return strip * above_mg + _found_mg(stroke, bed, sheet_radius_mm)
 
 
-def _found(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """The share of what lies beside that a stroke is expected to come upon: one that presses on the wall scrapes it."""
+def _found_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
+    """What a stroke is expected to come upon of what lies beside: one that presses on the wall scrapes it all off.
+
+    Of what the last one has missed little, however well the powder slides: it was not on that one's way, either.
+    """
     if stroke.gap_mm < 0.0:
-        return 1.0
-    return max(FOUND_BESIDE, 1.0 - bed.powder.repose_deg / _attack_deg(stroke, bed.mortar, sheet_radius_mm))
+        return bed.beside_mg
+    slid = max(FOUND_BESIDE, 1.0 - bed.powder.repose_deg / _attack_deg(stroke, bed.mortar, sheet_radius_mm))
+    return slid * max(0.0, bed.beside_mg - bed.missed_mg) + FOUND_BESIDE * bed.missed_mg
 
 
 def _left_mm(stroke: Stroke, powder: Powder) -> float:

@@ -21,11 +21,12 @@ from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.ladle import Ladle, NoStrokeError
-from scuhand_bt.dosing.strokes import Bed, chosen
+from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.recipe.sample import Demand
 from scuhand_bt.specs import ContainerKind, Source
@@ -34,9 +35,13 @@ STEP_DEG = 30
 """Between the directions in which a stroke is looked for."""
 LEAST_BED_MG = 30.0
 """Less in a mortar is not scooped any more."""
+WORTH_SHARE = 0.01
+"""Of bed and load a stroke brings as much at least, or `LEAST_BED_MG`: a run takes less for that of an empty mortar."""
 LOWERING_M_PER_S = 0.06
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 """Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
+STANDS_MM = (20.0, 40.0)
+"""Or on a stand, as high as this, where it is: handle and wrist come low beside a mortar that is flat and thin."""
 BESIDE_MM = 10.0
 
 
@@ -153,10 +158,16 @@ def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float
 def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
     """Empty where one is possible. MortarCannotBeScooped where none is of what lies there, wherever it stands."""
     hand, mortar = cell.hand, source.mortar
+    bed = Bed(mortar, bed_mg, source.powder)
     try:
-        stroke = chosen(Bed(mortar, bed_mg, source.powder), hand.sheet_radius_mm, source.powder.load_limit_mg)
+        stroke = chosen(bed, hand.sheet_radius_mm, source.powder.load_limit_mg)
     except NoStrokeError as error:
         raise MortarCannotBeScooped(source.name, str(error)) from None
+    worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
+    if (brings_mg := expected_mg(stroke, bed, hand.sheet_radius_mm)) < worth_mg:
+        brings = f"of {format_mass(bed_mg)} a stroke in this bowl brings {format_mass(brings_mg)}"
+        why = f"{brings} without a heap over its edge; take a deeper mortar, or a larger one"
+        raise MortarCannotBeScooped(source.name, why)
     x_mm, y_mm, _ = cell.stations[source.station].position_mm
     across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
     begin, why = motion.standing_at(source.station), ""
@@ -178,13 +189,14 @@ def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg
 def _elsewhere(
     motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
 ) -> str:
-    """Where the first one's mortar might stand, of some places about the arm the nearest that has all ways; a sentence.
+    """Where the first one's mortar might stand, of some places about the arm the nearest that has all ways, or else
+    where it is, higher; a sentence.
 
     All are looked at with the mortar there: strokes, loads carried to the pan, and the same for the others.
     """
     source = scooped[0].source
     station = cell.stations[source.station]
-    z_mm = station.position_mm[2]
+    x_mm, y_mm, z_mm = station.position_mm
     places = [
         (
             round(out_mm * math.cos(math.radians(turn_deg)), -1),
@@ -193,7 +205,8 @@ def _elsewhere(
         )
         for out_mm, turn_deg in itertools.product(OUT_MM, (*TURNS_DEG, *(-turn_deg for turn_deg in TURNS_DEG)))
     ]
-    for place_mm in sorted(places, key=lambda place_mm: math.dist(place_mm, station.position_mm)):
+    places.sort(key=lambda place_mm: math.dist(place_mm, station.position_mm))
+    for place_mm in (*places, *((x_mm, y_mm, z_mm + stand_mm) for stand_mm in STANDS_MM)):
         if not _has_room(cell, station.name, place_mm, source):
             continue
         there = station.model_copy(update={"position_mm": place_mm})
