@@ -13,6 +13,7 @@ from running import dry_run
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.dosing.identification import SHAPES
 from scuhand_bt.lab_state.beliefs import LabState
+from scuhand_bt.lab_state.lab_db import writing_lab_db
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.specs import BALANCE_SHAPES, BalanceBelief, PowderBelief, Source
 
@@ -89,6 +90,33 @@ def test_what_doses_taught_of_a_balance_a_week_ago_is_learnt_anew_and_of_a_powde
     state.recall(later, NOW + timedelta(days=days))
     assert later.balance_belief == (cell.balance_belief if is_known else BalanceBelief())
     assert later.powder_beliefs == cell.powder_beliefs
+
+
+@pytest.mark.parametrize(
+    ("at", "is_old"),
+    [
+        ("", True),
+        ("yesterday", True),
+        ("0001-01-01T00:00:00", True),
+        (f"{NOW.replace(tzinfo=None).isoformat()}", False),
+        ((NOW + timedelta(hours=1)).isoformat(), False),
+        ((NOW + timedelta(days=3650)).isoformat(), True),
+    ],
+)
+def test_what_was_learnt_at_a_time_that_nobody_can_tell_is_learnt_anew(
+    command: Call, lab_folder: LabFolder, at: str, is_old: bool
+) -> None:
+    folder, belief = lab_folder.folder, BalanceBelief(fits=2).model_dump_json()
+    with writing_lab_db(folder / ".scuhand") as database:
+        learnt = "INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES ('balance', 'b', 0, 'r', ?, ?)"
+        database.execute(learnt, (at, belief))
+        brought = "INSERT INTO yielded (lot, mortar, simulated, share, run, at) VALUES ('a', 'm', 0, 0.5, 'r', ?)"
+        database.execute(brought, (at,))
+    state = LabState(folder / ".scuhand")
+    assert state.balances(simulated=False)["b"].is_older_than(timedelta(days=7), NOW) == is_old
+    for name in ("balance", "powders"):
+        told = command(name, "--lab", folder)
+        assert (told.returncode, "anew" in told.stdout) == (0, is_old)
 
 
 def test_what_was_learnt_of_a_powder_is_shown_with_its_date_and_forgotten_by_lot(

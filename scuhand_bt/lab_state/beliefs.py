@@ -50,8 +50,12 @@ class Taught:
         return f"version {self.version}, {self.run}{', SIMULATED' if self.simulated else ''}"
 
     def is_older_than(self, age: timedelta, now: datetime) -> bool:
-        """Whether it was learnt longer ago than that."""
-        return now - datetime.fromisoformat(self.at) > age
+        """Whether it was learnt longer ago than that, or nobody can tell when: by a wrong clock, or a damaged row."""
+        try:
+            at = datetime.fromisoformat(self.at).astimezone()
+        except (ValueError, OverflowError):
+            return True
+        return abs(now - at) > age
 
 
 @dataclass(frozen=True)
