@@ -154,6 +154,26 @@ def test_what_was_learnt_of_a_powder_is_shown_with_its_date_and_forgotten_by_lot
     assert known() == sorted(lots), "what is learnt later is believed"
 
 
+def test_a_lot_is_forgotten_without_those_whose_names_begin_with_its_own(tmp_path: Path) -> None:
+    state, lots = LabState(tmp_path), ["beads/2026", "beads/2026/b 1", "beads/2026/b 2"]
+    with writing_lab_db(tmp_path) as database:
+        learnt = "INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES ('powder', ?, 0, 'r', ?, ?)"
+        database.executemany(learnt, [(lot, NOW.isoformat(), PowderBelief().model_dump_json()) for lot in lots])
+    assert state.forget_powders("beads/2026") == ["beads/2026"]
+    assert state.forget_powders("beads/2026/b 1") == ["beads/2026/b 1"]
+    assert state.forget_powders("beads") == ["beads/2026/b 2"]
+
+
+def test_a_figure_that_another_version_has_measured_is_shown_by_its_own_name(
+    command: Call, lab_folder: LabFolder
+) -> None:
+    with writing_lab_db(lab_folder.folder / ".scuhand") as database:
+        measured = "INSERT INTO measured (balance, figure, simulated, value, says, at) VALUES ('b', ?, 0, 1.5, 'r', ?)"
+        database.execute(measured, ("span_ppm", NOW.isoformat()))
+    shown = command("balance", "--lab", lab_folder.folder)
+    assert (shown.returncode, "span_ppm" in shown.stdout) == (0, True)
+
+
 def test_a_balance_whose_teaching_is_old_is_told_to_be_learnt_anew(
     command: Call, lab_folder: LabFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -216,7 +216,7 @@ class LabState:
         """Believe nothing any more of a powder lot and its scoops, or of all lots of a powder; their names."""
 
         def is_meant(lot: str) -> bool:
-            return lot == name or lot.startswith(f"{name}/")
+            return name in (lot, lot.partition("/")[0])  # a lot may have slashes in its name, too
 
         lots = [lot for lot in self.powders(simulated=False) if is_meant(lot)]
         yields = [of for of in self.yields(simulated=False) if is_meant(of[0])]
