@@ -387,7 +387,11 @@ class Knowledge:
         )
 
     def verdict(self, seen: Observation) -> Reason | None:
-        """What a stable mean says: done, too much, or None while there is more to dose."""
+        """What a stable mean says: done, too much, or None while there is more to dose.
+
+        Too uncertain for any verdict, it is done where it has come to the aim: no time makes it surer.
+        """
         request = self.request
-        reasons: dict[Verdict, Reason | None] = {"in tolerance": "reached", "over": "overshoot", "under": None}
+        under: Reason | None = None if seen.net_mg < self.aim_mg else "reached"
+        reasons: dict[Verdict, Reason | None] = {"in tolerance": "reached", "over": "overshoot", "under": under}
         return reasons[judge(request.target_mg, request.tolerance_mg, seen.net_mg, seen.uncertainty_mg)]
