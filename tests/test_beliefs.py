@@ -1,5 +1,6 @@
 """What is learnt of powders and balances is kept in the lab, versioned, and apart from what was simulated."""
 
+import math
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -162,6 +163,14 @@ def test_a_lot_is_forgotten_without_those_whose_names_begin_with_its_own(tmp_pat
     assert state.forget_powders("beads/2026") == ["beads/2026"]
     assert state.forget_powders("beads/2026/b 1") == ["beads/2026/b 1"]
     assert state.forget_powders("beads") == ["beads/2026/b 2"]
+
+
+@pytest.mark.parametrize("share", [-0.5, 0.0, math.inf])
+def test_a_share_that_no_scoop_brings_is_learnt_anew(tmp_path: Path, share: float) -> None:
+    with writing_lab_db(tmp_path) as database:
+        brought = "INSERT INTO yielded (lot, mortar, simulated, share, run, at) VALUES ('beads', ?, 0, ?, 'r', ?)"
+        database.executemany(brought, [("agate", share, NOW.isoformat()), ("steel", 0.4, NOW.isoformat())])
+    assert list(LabState(tmp_path).yields(simulated=False)) == [("beads", "steel")]
 
 
 def test_a_figure_that_another_version_has_measured_is_shown_by_its_own_name(

@@ -8,6 +8,7 @@ is believed for `YIELD_BELIEVED_FOR`. What was learnt from simulated devices is 
 real run must not believe a simulation, and a dry run of one seed must not depend on the runs before it.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -116,7 +117,7 @@ class LabState:
         return {
             of: LearntYield(version, simulated, run, at, share)
             for of, (version, run, at, share) in last.items()
-            if share is not None
+            if share is not None and 0.0 < share < math.inf  # what a damaged row says is learnt anew
         }
 
     def unreadable(self) -> list[str]:
