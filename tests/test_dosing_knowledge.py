@@ -516,3 +516,15 @@ def test_a_dose_that_nothing_can_tell_ends_where_it_has_come_to_its_aim(streamin
         command = controller.decide(Observation(time_s, seen.net_mg, 1.1, isinstance(command, Weigh)))
     assert isinstance(command, Finish)
     assert command.reason == "reached"
+
+
+def test_a_zero_that_comes_and_goes_is_not_weighed_for_longer_than_two_minutes() -> None:
+    controller = new_controller("adaptive", request())
+    command, time_s, shown_mg = controller.decide(None), 0.0, itertools.cycle((500.0, 508.0))
+    while not isinstance(command, Finish) and time_s < 1000.0:
+        is_weighed = isinstance(command, Weigh)
+        time_s += 8.0 if is_weighed else PERIOD_S
+        command = controller.decide(Observation(time_s, next(shown_mg) if is_weighed else 504.0, 0.1, is_weighed))
+    assert isinstance(command, Finish)
+    assert command.doubt is not None
+    assert 120.0 < time_s < 140.0
