@@ -84,6 +84,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "source-overfull": Finding(
             "A source's amount does not fit into its mortar.", "Correct the amount or the mortar."
         ),
+        "never-opened": Finding(
+            "The hand does not open as wide as a powder is believed to need to come at all.",
+            "Correct the powder's `belief` or the hand's `max_opening`.",
+        ),
         "source-short": Finding(
             "A source holds less than its samples need, with losses.",
             "More powder, `refill` for a person to bring it on the way, or less samples.",

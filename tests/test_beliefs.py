@@ -1,5 +1,6 @@
 """What is learnt of powders and balances is kept in the lab, versioned, and apart from what was simulated."""
 
+import math
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -13,6 +14,7 @@ from running import dry_run
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.dosing.identification import SHAPES
 from scuhand_bt.lab_state.beliefs import LabState
+from scuhand_bt.lab_state.lab_db import writing_lab_db
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.specs import BALANCE_SHAPES, BalanceBelief, PowderBelief, Source
 
@@ -91,6 +93,33 @@ def test_what_doses_taught_of_a_balance_a_week_ago_is_learnt_anew_and_of_a_powde
     assert later.powder_beliefs == cell.powder_beliefs
 
 
+@pytest.mark.parametrize(
+    ("at", "is_old"),
+    [
+        ("", True),
+        ("yesterday", True),
+        ("0001-01-01T00:00:00", True),
+        (f"{NOW.replace(tzinfo=None).isoformat()}", False),
+        ((NOW + timedelta(hours=1)).isoformat(), False),
+        ((NOW + timedelta(days=3650)).isoformat(), True),
+    ],
+)
+def test_what_was_learnt_at_a_time_that_nobody_can_tell_is_learnt_anew(
+    command: Call, lab_folder: LabFolder, at: str, is_old: bool
+) -> None:
+    folder, belief = lab_folder.folder, BalanceBelief(fits=2).model_dump_json()
+    with writing_lab_db(folder / ".scuhand") as database:
+        learnt = "INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES ('balance', 'b', 0, 'r', ?, ?)"
+        database.execute(learnt, (at, belief))
+        brought = "INSERT INTO yielded (lot, mortar, simulated, share, run, at) VALUES ('a', 'm', 0, 0.5, 'r', ?)"
+        database.execute(brought, (at,))
+    state = LabState(folder / ".scuhand")
+    assert state.balances(simulated=False)["b"].is_older_than(timedelta(days=7), NOW) == is_old
+    for name in ("balance", "powders"):
+        told = command(name, "--lab", folder)
+        assert (told.returncode, "anew" in told.stdout) == (0, is_old)
+
+
 def test_what_was_learnt_of_a_powder_is_shown_with_its_date_and_forgotten_by_lot(
     command: Call, lab_folder: LabFolder, tmp_path: Path
 ) -> None:
@@ -124,6 +153,34 @@ def test_what_was_learnt_of_a_powder_is_shown_with_its_date_and_forgotten_by_lot
     assert (ended.returncode, "did you mean 'glass_beads'?" in told) == (2, True)
     state.keep(replace(cell, powder_beliefs=beliefs, simulated=False), "run-2")
     assert known() == sorted(lots), "what is learnt later is believed"
+
+
+def test_a_lot_is_forgotten_without_those_whose_names_begin_with_its_own(tmp_path: Path) -> None:
+    state, lots = LabState(tmp_path), ["beads/2026", "beads/2026/b 1", "beads/2026/b 2"]
+    with writing_lab_db(tmp_path) as database:
+        learnt = "INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES ('powder', ?, 0, 'r', ?, ?)"
+        database.executemany(learnt, [(lot, NOW.isoformat(), PowderBelief().model_dump_json()) for lot in lots])
+    assert state.forget_powders("beads/2026") == ["beads/2026"]
+    assert state.forget_powders("beads/2026/b 1") == ["beads/2026/b 1"]
+    assert state.forget_powders("beads") == ["beads/2026/b 2"]
+
+
+@pytest.mark.parametrize("share", [-0.5, 0.0, math.inf])
+def test_a_share_that_no_scoop_brings_is_learnt_anew(tmp_path: Path, share: float) -> None:
+    with writing_lab_db(tmp_path) as database:
+        brought = "INSERT INTO yielded (lot, mortar, simulated, share, run, at) VALUES ('beads', ?, 0, ?, 'r', ?)"
+        database.executemany(brought, [("agate", share, NOW.isoformat()), ("steel", 0.4, NOW.isoformat())])
+    assert list(LabState(tmp_path).yields(simulated=False)) == [("beads", "steel")]
+
+
+def test_a_figure_that_another_version_has_measured_is_shown_by_its_own_name(
+    command: Call, lab_folder: LabFolder
+) -> None:
+    with writing_lab_db(lab_folder.folder / ".scuhand") as database:
+        measured = "INSERT INTO measured (balance, figure, simulated, value, says, at) VALUES ('b', ?, 0, 1.5, 'r', ?)"
+        database.execute(measured, ("span_ppm", NOW.isoformat()))
+    shown = command("balance", "--lab", lab_folder.folder)
+    assert (shown.returncode, "span_ppm" in shown.stdout) == (0, True)
 
 
 def test_a_balance_whose_teaching_is_old_is_told_to_be_learnt_anew(

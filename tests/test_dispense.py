@@ -444,10 +444,11 @@ def test_a_dose_says_what_was_asked_what_is_there_and_what_it_took_in_all(rig: R
         (ALLOWED_MG + 0.001, UNCERTAINTY_MG, "overshoot"),
         (-ALLOWED_MG - 0.001, UNCERTAINTY_MG, None),
         (0.001, 1.001, "overshoot"),
-        (0.0, 1.001, None),
+        (0.0, 1.001, "reached"),  # no more is to come, and no mass would be told in tolerance
+        (-1.0, 1.001, None),
     ],
 )
-def test_adaptive_is_done_exactly_where_the_verdict_will_be_in_tolerance(
+def test_adaptive_is_done_exactly_where_the_verdict_will_be_in_tolerance_or_where_none_can_be(
     streaming: bool, error_mg: float, uncertainty_mg: float, reason: str | None
 ) -> None:
     controller = new_controller("adaptive", replace(Bench(BEADS, TARGET_MG).request(), streaming=streaming))

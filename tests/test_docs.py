@@ -173,7 +173,10 @@ def test_the_mistakes_that_recipes_md_shows_are_told_in_those_words(lab_folder: 
 DOSING = (REPOSITORY / "docs" / "dosing.md").read_text(encoding="utf-8")
 STATE = {"READING", "RATE", "MASS", "K", "G"}
 """Numbers of rows, not figures."""
-LAW = ("adaptive", "knowledge", "constraint", "estimation", "identification", "pulses")
+LAW = (
+    *("adaptive", "opening", "knowledge", "constraint", "estimation", "identification"),
+    *("noise", "valve", "pulses"),
+)
 
 
 @pytest.mark.parametrize("module", LAW)

@@ -12,7 +12,17 @@ from scuhand_bt.dosing import constraint
 from scuhand_bt.dosing.characteristic import Step, step_of
 from scuhand_bt.dosing.constraint import RISK, chance, widest_mm
 from scuhand_bt.dosing.estimation import DELAYS_S, Bank, Model, powers
-from scuhand_bt.dosing.identification import LEAST_DOUBT, SHAPES, Row, balance_by, balance_of, transitions, with_found
+from scuhand_bt.dosing.identification import (
+    LEAST_DELAY_S,
+    LEAST_DOUBT,
+    LONGEST_S,
+    SHAPES,
+    Row,
+    balance_by,
+    balance_of,
+    transitions,
+    with_found,
+)
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.specs import BalanceBelief
 
@@ -33,9 +43,9 @@ def shown_of(drawn: DrawnBalance, mass_mg: list[float]) -> list[float]:
     return readings_mg[4::5]
 
 
-def step_on(drawn: DrawnBalance) -> Step:
-    """25 g, put on after 5 s."""
-    readings_mg = shown_of(drawn, [0.0] * 250 + [25_000.0] * 2000)
+def step_on(drawn: DrawnBalance, rests_s: float = 40.0) -> Step:
+    """25 g, put on after 5 s, and watched for so long."""
+    readings_mg = shown_of(drawn, [0.0] * 250 + [25_000.0] * round(rests_s / STEP_S))
     curve = [(PERIOD_S * (number + 1), mg) for number, mg in enumerate(readings_mg)]
     step = step_of(curve, 0.0, float(np.mean(readings_mg[-20:])), 5.0)
     assert step is not None
@@ -103,6 +113,19 @@ def test_of_a_filter_that_adapts_a_container_tells_that_it_may_be_slower(delay_s
     assert 2.0 * found.lag_s / both < delay_s
     assert delay_s * patience < 2.0 * found.lag_s * both
     assert found.adapts
+
+
+def test_the_slow_face_of_a_slow_filter_that_adapts_is_believed_no_later_than_any_balance() -> None:
+    found = balance_of(step_on(balance("adaptive", 5.9, patience=6.0), rests_s=120.0))
+    assert found.adapts
+    assert 2.0 * found.lag_s == pytest.approx(LONGEST_S)
+
+
+@pytest.mark.parametrize("missing", [(0.0, 0.0, 0.0), (-1.5, -0.2, 0.0)])
+def test_a_container_that_is_shown_at_once_is_a_balance_without_delay(missing: tuple[float, ...]) -> None:
+    """A balance of whole milligrams that tells its mass once in two seconds; one that rings between its readings."""
+    found = balance_of(Step(25_000.0, (0.01, 0.02, 0.03), missing))
+    assert 2.0 * found.lag_s == pytest.approx(LEAST_DELAY_S)
 
 
 @pytest.mark.parametrize("open_s", [0.4, 4.0])

@@ -502,3 +502,29 @@ def test_an_opening_is_no_wider_than_a_sheet_that_sticks_allows_until_that_would
 def test_the_farther_beyond_what_was_seen_the_more_carefully_it_is_opened() -> None:
     near, far = (Knowledge(request(powder=BEADS.model_copy(update={"gap_mm": gap_mm}))) for gap_mm in (2.0, 0.5))
     assert far.begins_mm(480.0) < 0.9 * near.begins_mm(480.0)
+
+
+@pytest.mark.parametrize("streaming", [True, False])
+def test_a_dose_that_nothing_can_tell_ends_where_it_has_come_to_its_aim(streaming: bool) -> None:
+    """The zero has drifted for so long that no mass can be told in tolerance, and no time makes it surer."""
+    controller = new_controller("adaptive", request(uncertainty_mg=1.1, streaming=streaming))
+    seen, time_s = Observation(0.0, 500.0, 1.1, True), 0.0
+    command = controller.decide(None)
+    while not isinstance(command, Finish) and time_s < 60.0:
+        assert isinstance(command, Weigh) or not command.opening_mm
+        time_s += 5.0 if isinstance(command, Weigh) else PERIOD_S
+        command = controller.decide(Observation(time_s, seen.net_mg, 1.1, isinstance(command, Weigh)))
+    assert isinstance(command, Finish)
+    assert command.reason == "reached"
+
+
+def test_a_zero_that_comes_and_goes_is_not_weighed_for_longer_than_two_minutes() -> None:
+    controller = new_controller("adaptive", request())
+    command, time_s, shown_mg = controller.decide(None), 0.0, itertools.cycle((500.0, 508.0))
+    while not isinstance(command, Finish) and time_s < 1000.0:
+        is_weighed = isinstance(command, Weigh)
+        time_s += 8.0 if is_weighed else PERIOD_S
+        command = controller.decide(Observation(time_s, next(shown_mg) if is_weighed else 504.0, 0.1, is_weighed))
+    assert isinstance(command, Finish)
+    assert command.doubt is not None
+    assert 120.0 < time_s < 140.0

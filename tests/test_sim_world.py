@@ -233,3 +233,23 @@ def test_a_plant_of_nan_is_refused_before_anything_moves() -> None:
         Plant(Broken(), "test plant").probe(BEADS, BalanceSpec())
     with pytest.raises(PlantError, match="flow let nan mg"):
         bench(plant=f"{__name__}:Broken")
+
+
+class BreaksLater:
+    """A plant whose balance and powder are sound while they are tried."""
+
+    class Of:
+        steps = 0
+
+        def step(self, *_: object) -> Any:
+            self.steps += 1
+            return 0.0 if self.steps < 10 else None
+
+    def balance(self, spec: BalanceSpec) -> Of:
+        return self.Of()
+
+
+def test_a_plant_that_breaks_in_a_run_is_told_by_its_name() -> None:
+    rig = bench(plant=f"{__name__}:BreaksLater")
+    with pytest.raises(PlantError, match="BreaksLater: TypeError in balance"):
+        rig.drive(rig.cell.balance.stable_mean())

@@ -50,7 +50,7 @@ def balance(
         return
     table = Table("balance", "what", "", "says", "at", show_edge=False)
     for name, figure, value, says, at in rows:
-        words, unit = WORDS[figure]
+        words, unit = WORDS.get(figure, (figure, ""))  # which another version has measured
         table.add_row(Text(name), words, f"{value:.3g} {unit}", Text(says), at)
     out.print(table)
     if simulated:

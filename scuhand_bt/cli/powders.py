@@ -69,7 +69,7 @@ def forget(
         lots = state.forget_powders(name)
     simulated = {*state.powders(simulated=True), *(lot for lot, _ in state.yields(simulated=True))}
     if not lots and name not in {*loaded.library.powders, *simulated}:
-        raise unknown("powder lot", name, [*loaded.library.powders, *state.powders(simulated=False)])
+        raise unknown("powder lot", name, {*loaded.library.powders, *state.powders(simulated=False)})
     out.print(Text(f"Forgotten: {', '.join(lots)}." if lots else f"Nothing was learnt of '{name}' on real devices."))
 
 

@@ -57,6 +57,8 @@ DOUBTFUL_MG = 1.0
 """A stable mean may differ from what the readings led to expect by this, besides chance: powder drips."""
 AGAIN_S = 3.0
 """A stable mean that surprised is taken again after this."""
+LONGEST_DOUBT_S = 120.0
+"""Those that have gone on surprising for so long are the zero's, which comes and goes: the last one counts."""
 LEFT_MG = 1.0
 """With more than this to go the stable mean can wait."""
 PRIMES_S = 10.0
@@ -160,7 +162,8 @@ class Adaptive:
         yield from self._look(0.0)
         expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
         seen = yield Weigh()
-        while abs(seen.net_mg - expected_mg) > (allowed_mg := SURPRISE * sd_mg + DOUBTFUL_MG):
+        end_s = seen.time_s + LONGEST_DOUBT_S
+        while abs(seen.net_mg - expected_mg) > (allowed_mg := SURPRISE * sd_mg + DOUBTFUL_MG) and seen.time_s < end_s:
             known.doubt_balance(Doubt(seen.net_mg - expected_mg, allowed_mg))
             expected_mg, sd_mg = seen.net_mg, seen.uncertainty_mg
             seen = yield Weigh(AGAIN_S)

@@ -47,7 +47,7 @@ LEAST_DOUBT = 0.08
 TELLS = 1.0
 """An opening tells the balance when its delay is known to this."""
 LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
-"""Delays that an opening may show."""
+"""Delays that an opening may show, and a step is taken to have shown: no reading may miss any of it."""
 BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 """Powder may begin to come so long after the valve was told to open."""
 INDEPENDENT = 10.0
@@ -109,8 +109,8 @@ def balance_of(step: Step) -> BalanceBelief:
         slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
     apart = 0.5 * math.log(slower)
     doubt, adapts = math.hypot(STEP_DOUBT, apart), apart > STEP_DOUBT
-    misfit = min(far[shape] / math.hypot(*step.missing), 1.0)
-    lag_s = delay_s / 2.0 * math.sqrt(slower)
+    misfit = min(far[shape] / max(math.hypot(*step.missing), 1e-9), 1.0)
+    lag_s = min(max(delay_s * math.sqrt(slower), LEAST_DELAY_S), LONGEST_S) / 2.0
     return BalanceBelief(lag_s=lag_s, doubt=doubt, shape=shape, adapts=adapts, misfit=misfit, fits=1)
 
 

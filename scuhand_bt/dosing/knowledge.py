@@ -26,7 +26,7 @@ from scuhand_bt.dosing.estimation import (
 from scuhand_bt.dosing.identification import Row, balance_by, with_found
 from scuhand_bt.dosing.noise import Noise
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
-from scuhand_bt.dosing.verdict import COVERAGE, judge
+from scuhand_bt.dosing.verdict import COVERAGE, acceptance_mg, judge
 from scuhand_bt.specs import PowderBelief, Verdict
 
 SLOWER = 0.7
@@ -387,7 +387,12 @@ class Knowledge:
         )
 
     def verdict(self, seen: Observation) -> Reason | None:
-        """What a stable mean says: done, too much, or None while there is more to dose."""
+        """What a stable mean says: done, too much, or None while there is more to dose.
+
+        Too uncertain for any verdict, it is done where it has come to the aim: no time makes it surer.
+        """
         request = self.request
-        reasons: dict[Verdict, Reason | None] = {"in tolerance": "reached", "over": "overshoot", "under": None}
+        is_untold = acceptance_mg(request.tolerance_mg, seen.uncertainty_mg) < 0.0
+        under: Reason | None = "reached" if is_untold and seen.net_mg >= self.aim_mg else None
+        reasons: dict[Verdict, Reason | None] = {"in tolerance": "reached", "over": "overshoot", "under": under}
         return reasons[judge(request.target_mg, request.tolerance_mg, seen.net_mg, seen.uncertainty_mg)]

@@ -8,6 +8,7 @@ is believed for `YIELD_BELIEVED_FOR`. What was learnt from simulated devices is 
 real run must not believe a simulation, and a dry run of one seed must not depend on the runs before it.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -50,8 +51,12 @@ class Taught:
         return f"version {self.version}, {self.run}{', SIMULATED' if self.simulated else ''}"
 
     def is_older_than(self, age: timedelta, now: datetime) -> bool:
-        """Whether it was learnt longer ago than that."""
-        return now - datetime.fromisoformat(self.at) > age
+        """Whether it was learnt longer ago than that, or nobody can tell when: by a wrong clock, or a damaged row."""
+        try:
+            at = datetime.fromisoformat(self.at).astimezone()
+        except (ValueError, OverflowError):
+            return True
+        return abs(now - at) > age
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,7 @@ class LabState:
         return {
             of: LearntYield(version, simulated, run, at, share)
             for of, (version, run, at, share) in last.items()
-            if share is not None
+            if share is not None and 0.0 < share < math.inf  # what a damaged row says is learnt anew
         }
 
     def unreadable(self) -> list[str]:
@@ -212,7 +217,7 @@ class LabState:
         """Believe nothing any more of a powder lot and its scoops, or of all lots of a powder; their names."""
 
         def is_meant(lot: str) -> bool:
-            return lot == name or lot.startswith(f"{name}/")
+            return name in (lot, lot.partition("/")[0])  # a lot may have slashes in its name, too
 
         lots = [lot for lot in self.powders(simulated=False) if is_meant(lot)]
         yields = [of for of in self.yields(simulated=False) if is_meant(of[0])]

@@ -177,13 +177,22 @@ def needed_mg(sample: Sample, source: Source) -> float:
     return sum(take.needed_mg for take in sample.takes if take.source.name == source.name)
 
 
-def check_source(source: Source, mark: Mark, problems: Problems) -> None:
-    """The source's powder must fit into its mortar."""
-    powder, mortar = source.powder, source.mortar
+def check_source(source: Source, cell: CellSpec, marks: Mapping[str, Node], problems: Problems) -> None:
+    """The source's powder must fit into its mortar, and come where the hand opens as wide as it can.
+
+    `marks` are the places of its values.
+    """
+    powder, mortar, widest_mm = source.powder, source.mortar, cell.hand.max_opening_mm
+    if powder.belief.threshold_mm >= widest_mm:
+        least = f"nothing of {powder.name} comes up to its belief's 'threshold', {powder.belief.threshold_mm:g} mm"
+        remedy = "correct it in robot/powders.yaml, or the hand's 'max_opening' in robot/cell.yaml"
+        problems.add(
+            marks["powder"].mark, f"the hand opens to {widest_mm:g} mm, and {least}", remedy, code="never-opened"
+        )
     holds_mg = source.capacity_mg
     if source.amount_mg > holds_mg:
         what = f"{format_mass(source.amount_mg)} of {powder.name} does not fit into '{mortar.name}'"
-        problems.add(mark, what, f"it holds {format_mass(holds_mg)}", code="source-overfull")
+        problems.add(marks["amount"].mark, what, f"it holds {format_mass(holds_mg)}", code="source-overfull")
 
 
 def check_sample(

@@ -105,7 +105,7 @@ class SourcesReader:
         )
         self.marks |= {f"sources.{name}": self.source_marks[name]}
         self.marks |= {f"sources.{name}.{key}": value.mark for key, value in node.values.items()}
-        check_source(source, node.values["amount"].mark, self.problems)
+        check_source(source, lab.cell, node.values, self.problems)
         if source.refill_mg is not None and source.refill_mg > source.amount_mg:
             what = f"a refill of {format_mass(source.refill_mg)} is more than the mortar holds at the start"
             allowed = f"at most its amount, {format_mass(source.amount_mg)}"

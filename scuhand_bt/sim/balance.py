@@ -138,7 +138,8 @@ class SimulatedBalance:
 
     def advance(self, end_s: float, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float) -> None:
         """Go on by `dt_s`; at the end of a period a reading is given out."""
-        value_mg = self._plant.reading(self._response.step(dt_s, on_pan_mg, landing_mg, vibration, self._rng))
+        with self._plant.asked("balance"):
+            value_mg = self._plant.reading(self._response.step(dt_s, on_pan_mg, landing_mg, vibration, self._rng))
         if end_s < self.next_reading_s - 1e-9:
             return
         self._readings += 1

@@ -168,8 +168,10 @@ class ConeLoad:
         self._was_open = opening_mm > 0.0
         if in_cone_mg <= 0.0 or self._flow is None or self._is_clogged(end_s, dt_s):
             return
-        leaving_mg = self._flow.step(dt_s, opening_mm, self._hand.felt_vibration, in_cone_mg, self._flow_rng)
-        self.drop(end_s, self._plant.leaving(leaving_mg, in_cone_mg))
+        with self._plant.asked("flow"):
+            leaving_mg = self._flow.step(dt_s, opening_mm, self._hand.felt_vibration, in_cone_mg, self._flow_rng)
+            leaving_mg = self._plant.leaving(leaving_mg, in_cone_mg)
+        self.drop(end_s, leaving_mg)
 
     def _is_clogged(self, now_s: float, dt_s: float) -> bool:
         if "powder.clog" not in self._faults.active:

@@ -7,7 +7,8 @@ The class is built without arguments and offers any of `flow(powder)`, `balance(
 import importlib
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import numpy as np
@@ -135,6 +136,18 @@ class Plant:
             raise PlantError(
                 f"{self.name}: 'kept' of {call} is not what a resumed run can begin with: {why}"
             ) from error
+
+    @contextmanager
+    def asked(self, seam: str) -> Iterator[None]:
+        """While physics that are not ours go on by a step: PlantError for whatever comes of that but a number."""
+        try:
+            yield
+        except PlantError:
+            raise
+        except Exception as error:
+            if self._theirs is None:
+                raise
+            raise PlantError(f"{self.name}: {type(error).__name__} in {seam}: {error}") from error
 
     def leaving(self, mass_mg: float, in_cone_mg: float) -> float:
         """Let a sound flow through; PlantError otherwise."""
