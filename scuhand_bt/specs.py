@@ -86,7 +86,7 @@ class PowderBelief(Spec):
     The flow is q = coefficient (D - threshold)^exponent, in mg/s with D in mm.
     """
 
-    coefficient: PositiveFloat = 70.0
+    coefficient: Annotated[float, Field(gt=0, le=1e9)] = 70.0
     threshold_mm: Annotated[Millimetres, NotNegative] = 0.1
     exponent: Annotated[float, Field(gt=0, le=10)] = 2.5
     gap_mm: Annotated[Millimetres, Field(gt=0)] = 0.5

@@ -74,6 +74,12 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
             "coefficient: inf",
             "'coefficient': 'inf' is not accepted; a plain number",
         ),
+        (
+            "powders",
+            "coefficient: 50",
+            "coefficient: 1e300",
+            "'coefficient': '1e300' is not accepted; at most 1000000000",
+        ),
         ("containers", "mortars:", "mortar:", "robot/containers.yaml:2:1: 'mortars' is missing"),
         ("containers", "mortars:", "mortar:", "unknown key 'mortar'"),
         ("containers", "depth: 30 mm", "depth: 60 mm", "its depth is at most half its bore"),
