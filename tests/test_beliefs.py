@@ -103,6 +103,7 @@ def test_what_doses_taught_of_a_balance_a_week_ago_is_learnt_anew_and_of_a_powde
         ((NOW + timedelta(hours=1)).isoformat(), False),
         ((NOW + timedelta(days=3650)).isoformat(), True),
     ],
+    ids=["none", "a word", "long ago", "without a zone", "in an hour", "in ten years"],
 )
 def test_what_was_learnt_at_a_time_that_nobody_can_tell_is_learnt_anew(
     command: Call, lab_folder: LabFolder, at: str, is_old: bool
