@@ -107,7 +107,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_IN_THE_WAY: Failure(
         "The arm stands where something else is to move, as over the pan while a container is to be changed.",
         "Put `park:` before `place_container` in the workflow.",
-        ("cell",),
+        ("cell", "tree"),
     ),
     Code.ARM_ZONE_TAKEN: Failure(
         "The arm was to go into a zone of the cell, or to leave it, and something else did not end there.",
