@@ -51,7 +51,7 @@ class SimulatedArm:
         self._mount = mount
         self._apex_of = apex_of or (lambda q: apex(q, mount()))
         self._rest: Joints = np.array(joints, dtype=float)
-        self._pose: tuple[Mount, Pose] | None = None  # at rest, and how the hand held its cone then
+        self._pose: tuple[float | None, Mount, Pose] | None = None  # when (None: at rest), how the hand held its cone
         self._trajectory: Trajectory | None = None
         self._begin_s = self._end_s = 0.0
 
@@ -98,7 +98,7 @@ class SimulatedArm:
             raise fault
 
     def _go_along(self, trajectory: Trajectory) -> None:
-        self._trajectory = trajectory
+        self._trajectory, self._pose = trajectory, None
         self._end_s = self._begin_s + trajectory.duration_s
 
     @property
@@ -141,12 +141,10 @@ class SimulatedArm:
 
     def pose(self, time_s: float) -> Pose:
         """The apex's pose at a time not before now."""
-        if self._trajectory is not None:
-            return self._apex_of(self._at(time_s))
-        mount = self._mount()
-        if self._pose is None or self._pose[0] is not mount:
-            self._pose = mount, self._apex_of(self._rest)
-        return self._pose[1]
+        mount, at_s = self._mount(), None if self._trajectory is None else time_s
+        if self._pose is None or self._pose[0] != at_s or self._pose[1] is not mount:
+            self._pose = at_s, mount, self._apex_of(self._at(time_s))
+        return self._pose[2]
 
     def _at(self, time_s: float) -> Joints:
         if self._trajectory is None:

@@ -138,8 +138,11 @@ class SimulatedBalance:
 
     def advance(self, end_s: float, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float) -> None:
         """Go on by `dt_s`; at the end of a period a reading is given out."""
-        with self._plant.asked("balance"):
+        try:
             value_mg = self._plant.reading(self._response.step(dt_s, on_pan_mg, landing_mg, vibration, self._rng))
+        except Exception as error:  # of somebody's plant
+            self._plant.blame(error, "balance")
+            raise
         if end_s < self.next_reading_s - 1e-9:
             return
         self._readings += 1

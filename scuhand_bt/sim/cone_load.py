@@ -168,9 +168,12 @@ class ConeLoad:
         self._was_open = opening_mm > 0.0
         if in_cone_mg <= 0.0 or self._flow is None or self._is_clogged(end_s, dt_s):
             return
-        with self._plant.asked("flow"):
+        try:
             leaving_mg = self._flow.step(dt_s, opening_mm, self._hand.felt_vibration, in_cone_mg, self._flow_rng)
             leaving_mg = self._plant.leaving(leaving_mg, in_cone_mg)
+        except Exception as error:  # of somebody's plant
+            self._plant.blame(error, "flow")
+            raise
         self.drop(end_s, leaving_mg)
 
     def _is_clogged(self, now_s: float, dt_s: float) -> bool:

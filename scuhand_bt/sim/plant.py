@@ -7,8 +7,7 @@ The class is built without arguments and offers any of `flow(powder)`, `balance(
 import importlib
 import json
 import math
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from typing import Any, Protocol
 
 import numpy as np
@@ -137,16 +136,9 @@ class Plant:
                 f"{self.name}: 'kept' of {call} is not what a resumed run can begin with: {why}"
             ) from error
 
-    @contextmanager
-    def asked(self, seam: str) -> Iterator[None]:
-        """While physics that are not ours go on by a step: PlantError for whatever comes of that but a number."""
-        try:
-            yield
-        except PlantError:
-            raise
-        except Exception as error:
-            if self._theirs is None:
-                raise
+    def blame(self, error: Exception, seam: str) -> None:
+        """PlantError for what has broken while physics that are not ours went on by a step; nothing where they are."""
+        if self._theirs is not None and not isinstance(error, PlantError):
             raise PlantError(f"{self.name}: {type(error).__name__} in {seam}: {error}") from error
 
     def leaving(self, mass_mg: float, in_cone_mg: float) -> float:

@@ -3,6 +3,8 @@
 It knows of no lease and of no skill, so that a dry run shows what these have let happen.
 """
 
+import math
+
 import numpy as np
 
 from scuhand_bt.bench_spec import Obstacle
@@ -19,10 +21,20 @@ class Sweep:
 
     def meets(self, cone: ConePose) -> bool:
         """Whether a point of the cone's outline is in one."""
-        if not self._zones:
+        x_mm, y_mm, _ = cone.apex_mm
+        near = [
+            zone for zone in self._zones if math.dist(zone.at_mm[:2], (x_mm, y_mm)) < _reach_mm(zone) + cone.slant_mm
+        ]
+        if not near:
             return False
         outline_mm = cone.outline_mm()
-        return any(bool((_from_above(zone, outline_mm) & _at_height(zone, outline_mm)).any()) for zone in self._zones)
+        return any(bool((_from_above(zone, outline_mm) & _at_height(zone, outline_mm)).any()) for zone in near)
+
+
+def _reach_mm(zone: Obstacle) -> float:
+    """Of it nothing is farther from its middle, seen from above."""
+    length_mm, width_mm, *_ = zone.box_mm or zone.cylinder_mm or (0.0, 0.0)
+    return math.hypot(length_mm, width_mm) / 2
 
 
 def _at_height(zone: Obstacle, points_mm: Floats) -> Mask:
