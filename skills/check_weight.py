@@ -78,10 +78,10 @@ class CheckWeight(Skill[Milligrams]):
 
     def _weigh(self, cell: Cell) -> Steps[float]:
         """Put on and off once: how much more it weighs than it is."""
-        bare = yield from cell.balance.stable_mean()
+        bare = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
         yield from self._ask(cell, f"Put the check weight of {format_mass(self.weight_mg)} on the empty pan.")
         cell.weight_on_pan(self.weight_mg)
-        loaded = yield from cell.balance.stable_mean()
+        loaded = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
         yield from self._ask(cell, "Take the check weight off the pan.")
         cell.weight_on_pan(0.0)
         error_mg = loaded.value_mg - bare.value_mg - self.weight_mg

@@ -257,7 +257,7 @@ class Dispense(Skill[Dose]):
             yield from cell.move_to(place)
         if not believed.dosing.is_unweighed:
             return
-        mean = yield from cell.balance.stable_mean()
+        mean = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
         now = weighing_of(mean)
         gained, _ = dose_between(((bracket.last, bracket.last), (now, now)), digit_mg)
         cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))

@@ -28,7 +28,7 @@ class WatchBalance(Skill[Milligrams]):
         return Forecast(inputs.get("duration", 20.0))
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
-        yield from cell.balance.stable_mean()
+        yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
         end_s = cell.clock.now_s + self.duration_s
         curve: list[tuple[float, float]] = []
         while len(curve) < LEAST or cell.clock.now_s < end_s:

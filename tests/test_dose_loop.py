@@ -276,6 +276,21 @@ def test_a_dose_without_end_is_ended_after_half_an_hour() -> None:
     assert (last["kind"], last["net_mg"], last["gross_mg"]) == ("settle", 7.0, EMPTY_MG + 7.0)
 
 
+def test_an_opening_ends_when_it_is_over_though_no_reading_has_come() -> None:
+    loop = Loop([Stream(1.0, 0.5, hold_s=0.4), Stream(1.0, hold_s=2.0)], [10.0, 20.0])
+    loop.pan.spec = BalanceSpec(period_s=1.0)
+    loop.run()
+    assert loop.valve.told == [("vibrate", 0.5), 1.0, 0.0, ("vibrate", 0.0), 1.0, "stop"]
+    assert loop.controller.seen[0].time_s == pytest.approx(BEGAN_S + 0.5)
+
+
+def test_only_while_the_valve_was_open_nothing_came_of_the_cone() -> None:
+    for hold_s, is_given_up in ((0.2, False), (0.3, True)):
+        loop = Loop([*[Stream(1.0, hold_s=hold_s)] * 250, Weigh(), Stream(0.0)], [0.0] * 252)
+        loop.pan.spec = BalanceSpec(period_s=1.0)
+        assert (loop.run().finish.reason == "no_flow") == is_given_up
+
+
 @pytest.mark.parametrize(("period_s", "expected_s"), [(0.05, 0.3), (0.1, 0.3), (0.2, 0.6), (1.0, 3.0)])
 def test_an_open_valve_waits_three_periods_for_a_reading(period_s: float, expected_s: float) -> None:
     assert silence_s(period_s) == pytest.approx(expected_s)

@@ -9,7 +9,7 @@ from dose_bench import DISH, PAN, Bench, Setting, shipped_powders
 from running import dry_run, make_lab
 
 from scuhand_bt.cell.weighing import weighing_of
-from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.clock import Steps, Wake, pause
 from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
@@ -136,6 +136,23 @@ def test_a_leak_is_found_also_between_the_pulses_of_a_dose(guarded: Guarded) -> 
     tripped = guarded.watch(8.0)
     assert tripped is not None
     assert tripped.code == "hand.leak"
+
+
+def test_what_falls_through_a_valve_that_was_open_between_two_readings_is_no_leak(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    guarded = Guarded(monkeypatch, balance=BalanceSpec(period_s=1.0))
+    guarded.dosing_towards(300.0)
+
+    def dosing() -> Steps[None]:
+        for _ in range(40):
+            yield from guarded.cell.balance.next_reading()
+            guarded.cell.hand.set_opening(0.6)
+            yield from pause(guarded.clock, 0.2)
+            guarded.cell.hand.set_opening(0.0)
+
+    assert guarded.watch(40.0, dosing()) is None
+    assert guarded.rig.world.true_mass(DISH.id) > 40.0
 
 
 def test_what_falls_onto_the_pan_from_elsewhere_is_no_leak_of_the_cone(guarded: Guarded) -> None:

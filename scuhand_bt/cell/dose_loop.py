@@ -179,7 +179,7 @@ def run_dose(
             acted_s = clock.now_s
             if acted_s - begin_s > LONGEST_S:
                 hand.stop()
-                mean = yield from balance.stable_mean()
+                mean = yield from balance.stable_mean(balance.spec.settles_s)
                 ended = weighed(mean)
                 record.event(_pulsed(Weigh(0.0), ended, acted_s, mean))
                 command = Finish("step_limit", ended.net_mg, ended.uncertainty_mg)
@@ -189,6 +189,9 @@ def run_dose(
                 streaming = True
                 hand.set_vibration(command.vibration)
                 hand.set_opening(command.opening_mm)
+                if command.hold_s < period_s:
+                    yield from pause(clock, command.hold_s)
+                    hand.set_opening(0.0)
                 reading = yield from balance.next_reading(silence_s(period_s))
                 seen = Observation(
                     reading.time_s,
@@ -198,7 +201,7 @@ def run_dose(
                     hand.opening_mm,
                 )
                 vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
-                flow.barren_s += (clock.now_s - acted_s) * (command.opening_mm > 0.0)
+                flow.barren_s += min(clock.now_s - acted_s, command.hold_s) * (command.opening_mm > 0.0)
                 level = command.vibration
             else:
                 streaming = False
@@ -216,7 +219,7 @@ def run_dose(
                 is_watched = clock.now_s - unwatched_since_s > LONGEST_UNWEIGHED_S
                 if is_watched:  # a mean may be stable and still creep by a digit, which would pass for a drift
                     yield from pause(clock, 2.0 * request.balance.lag_s)
-                mean = yield from balance.stable_mean()
+                mean = yield from balance.stable_mean(balance.spec.settles_s)
                 seen = weighed(mean)
                 level = 0.0
                 record.event(_pulsed(command, seen, acted_s, mean))
@@ -225,7 +228,7 @@ def run_dose(
                     for _ in range(WATCHES):
                         weighed_s = last.time_s
                         yield from pause(clock, LONGEST_WATCH_S)
-                        mean = yield from balance.stable_mean()
+                        mean = yield from balance.stable_mean(balance.spec.settles_s)
                         seen = weighed(mean)
                         record.event(_pulsed(Weigh(), seen, weighed_s, mean))
                         looks.append(last)

@@ -149,12 +149,13 @@ class RightOfWay:
             result = yield from steps
         return result
 
-    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+    def stable_mean(self, timeout_s: float = 0.0) -> Steps[StableMean]:
         """The balance's stable mean while arm and hand stand still; what they have disturbed all the same begins again.
 
         They need not until the balance calls a reading stable. SkillFailed balance.unstable where they do not come to
-        rest, and as the balance's own.
+        rest; and as the balance's own, after `timeout_s` at least.
         """
+        timeout_s = max(timeout_s, self._cell.spec.balance.settles_s)
         yield from self._settled()
         with self._hushed():
             while True:

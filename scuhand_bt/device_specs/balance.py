@@ -69,6 +69,11 @@ class BalanceSpec(Spec):
         return 5.0 * self.readability_mg
 
     @property
+    def settles_s(self) -> float:
+        """A balance that calls no reading stable for so long does not come to rest."""
+        return max(30.0, 40.0 * self.period_s)
+
+    @property
     def lost_after_s(self) -> float:
         """Without a word for this long, the balance is taken for lost."""
         return max(3.0, 10.0 * self.period_s)

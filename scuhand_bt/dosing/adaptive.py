@@ -225,12 +225,13 @@ class Adaptive:
         opening = Opening(known, most_mg, self._lump_mg())
         barren_mg = bank.mass_mg
         while True:
-            score = yield from known.act(opening.width_mm(), self._vibration)
+            hold_s = opening.hold_s(width_mm := opening.width_mm())
+            score = yield from known.act(width_mm, self._vibration, hold_s)
             may_be_slower = not self._has_come and bank.surge_mg < LUMPY_MG and most_mg - bank.mass_mg > FAR_MG
             if (seen := opening.see(score, is_first=may_be_slower)) is not None:
                 return seen
             if self._vibration >= FULL:
-                self._barren_s += known.rows[-1].dt_s
+                self._barren_s += min(known.rows[-1].dt_s, hold_s)
             if bank.mass_mg - barren_mg > max(1.0, 3.0 * bank.mass_sd_mg):
                 self._barren_s, barren_mg = 0.0, bank.mass_mg
             if self._is_dry():

@@ -11,6 +11,7 @@ carries that out on the hand and the balance, and tells it what was measured:
 A controller lives for one dose; `Finish` is its last word.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -38,6 +39,8 @@ class Stream:
 
     opening_mm: float
     vibration: float = 0.0
+    hold_s: float = math.inf
+    """So long at most: then the valve shuts, though no reading has come yet."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from collections.abc import Generator
 
 import numpy as np
 
-from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
+from scuhand_bt.dosing.constraint import NARROWEST_MM, RISK, chance, widest_mm
 from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream
 from scuhand_bt.dosing.estimation import (
     EXPONENT_ERROR,
@@ -43,14 +43,16 @@ STRONG = 0.5
 """How much more of the flow it is allowed for then, at most."""
 HARDLY_EVER = 2.6
 """Standard deviations that a flow is above its reference once in 200 times."""
-SEEN_S = 0.4
-"""So long after the balance's delay it is seen whether the sheet has stuck."""
+SEEN_S, SEEN_READINGS = 0.4, 2
+"""So long after the balance's delay, and so many readings, it is seen whether the sheet has stuck."""
 AIM_UNDER_MG = 0.1
 """Too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
 """Above the target, where the balance is too uncertain for any verdict."""
 SLACK_S = 0.1
 """Between a reading and the command that answers it."""
+LEAST_HOLD_S, HOLDS = 0.1, 12
+"""No opening is shorter; so many are compared where readings are rarer than that."""
 GENTLE, FULL = 0.4, 1.0
 """Levels of vibration."""
 WIDER, MOST_NARROWEST_MM = 1.4, 0.5
@@ -121,17 +123,21 @@ class Knowledge:
         self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
 
-    def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
-        """Hold a command until the next reading; its innovation in standard deviations."""
+    def act(
+        self, opening_mm: float, vibration: float, hold_s: float = math.inf
+    ) -> Generator[Command, Observation, float]:
+        """Hold a command until the next reading, or so long; the reading's innovation in standard deviations."""
         before_mm = self._known_gap_mm
         self.valve.command(self.time_s, opening_mm)
-        seen = yield Stream(opening_mm, vibration)
+        changed = math.log(self._known_gap_mm / before_mm) if opening_mm > 0.0 else 0.0
+        if hold_s < math.inf:
+            self.valve.command(self.time_s + hold_s, 0.0)
+        seen = yield Stream(opening_mm, vibration, hold_s)
         dt_s = seen.time_s - self.time_s
         phi_s, slope_s = self.valve.advance(self.time_s, seen.time_s)
         self.time_s = seen.time_s
         shaking = vibration > 0.0
         noise_mg = self.noise.learn(seen.net_mg, self.bank.unseen_mg, shaking=shaking)
-        changed = math.log(self._known_gap_mm / before_mm) if opening_mm > 0.0 else 0.0
         row = Row(dt_s, phi_s, slope_s, seen.net_mg, noise_mg, changed)
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
@@ -224,10 +230,34 @@ class Knowledge:
         strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
         return strong * self.valve.passes(opening_mm + STUCK_MM, open_s)
 
+    def hold_s(self, opening_mm: float, most_mg: float) -> float:
+        """How long the constraint lets an opening last that no reading ends before; inf where that is until the next.
+
+        On a balance that tells readings rarely the narrowest may let out too much until then, and one that begins may
+        be of a sheet that sticks.
+        """
+        period_s, valve = self.request.balance_period_s, self.valve
+        if period_s <= LEAST_HOLD_S:
+            return math.inf
+        holds_s = np.geomspace(LEAST_HOLD_S, period_s, HOLDS)
+        way = np.array([powers(*valve.passing(opening_mm, hold_s)) for hold_s in holds_s.tolist()])
+        is_allowed = chance(self.bank, *self.bank.coming(way), most_mg) <= RISK
+        if valve.opening_mm == 0.0:
+            room_mg = most_mg - self.bank.mass_mg
+            is_allowed &= np.array([self.stuck_mg(opening_mm, hold_s) <= room_mg for hold_s in holds_s.tolist()])
+        allowed = np.flatnonzero(is_allowed)
+        longest = int(allowed[-1]) if len(allowed) else 0
+        return math.inf if longest == HOLDS - 1 else float(holds_s[longest])
+
+    @property
+    def sees_s(self) -> float:
+        """So long beside the balance's delay something must last to be seen."""
+        return max(SEEN_S, SEEN_READINGS * self.request.balance_period_s)
+
     @property
     def seen_s(self) -> float:
         """So long after an opening began it is seen whether the sheet has stuck."""
-        return self.bank.delay_s + SEEN_S
+        return self.bank.delay_s + self.sees_s
 
     def begins_mm(self, most_mg: float) -> float:
         """How wide an opening may be until that: so that `most_mg` are not exceeded if it has, or the narrowest.
@@ -335,7 +365,7 @@ class Knowledge:
         left_mg = self.most_mg - self.bank.mass_mg
         if (
             tried_mm < MOST_NARROWEST_MM
-            and self.strongest * self.valve.passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg
+            and self.strongest * self.valve.passes(self.shape.threshold_mm + wider_mm, LEAST_HOLD_S + SLACK_S) < left_mg
         ):
             self.narrowest_mm = wider_mm
 

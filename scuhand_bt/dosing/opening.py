@@ -13,12 +13,14 @@ import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.estimation import powers
-from scuhand_bt.dosing.knowledge import NEAR_MG, SEEN_S, Knowledge
+from scuhand_bt.dosing.knowledge import NEAR_MG, Knowledge
 
 EVIDENT_S = 0.3
 """What has come no later than this ago still comes."""
 CONFIRMS = 0.75
-"""Of what should have come: less, for the delay and `SEEN_S`, is a weak flow, or a balance that was set slower."""
+"""Of what should have come: less, until it should be seen, is a weak flow, or a balance that was set slower."""
+QUIET_S, MOST_QUIET_S = 0.8, 2.0
+"""Nothing has come for so long, and for the balance's delay, or so much of it: nothing comes."""
 FLOWS = 0.2
 """Of its reference: a flow that is at least this strong is what was expected."""
 ALARM = 1.3
@@ -63,8 +65,12 @@ class Opening:
         comes = self._last[0] > 0.0 and self._quiet_s <= EVIDENT_S
         self._opening_mm = wanted_mm if comes else min(wanted_mm, self._opening_mm)
         # Of powder that begins to come late nothing can be seen yet.
-        may_stick = not self._lump_mg and known.time_s < max(self._stuck_seen_s, self._came_s + SEEN_S)
+        may_stick = not self._lump_mg and known.time_s < max(self._stuck_seen_s, self._came_s + known.sees_s)
         return min(self._opening_mm, self._begins_mm) if may_stick else self._opening_mm
+
+    def hold_s(self, width_mm: float) -> float:
+        """How long it is to stay so wide; inf for until the next reading, as where a lump is waited for."""
+        return math.inf if self._lump_mg else self._known.hold_s(width_mm, self._most_mg)
 
     def see(self, score: float, *, is_first: bool) -> Seen | None:
         """Why to shut after a reading, of this innovation in standard deviations; None: stay open.
@@ -104,14 +110,14 @@ class Opening:
         known, delay_s = self._known, self._known.bank.delay_s
         has_risen = known.rows[-1].reading_mg - self._last[2] > 3.0 * known.rows[-1].noise_mg
         self._confirm(has_risen)
-        if is_first and self._came_s < math.inf and self._doubted_s > delay_s + SEEN_S:
+        if is_first and self._came_s < math.inf and self._doubted_s > known.seen_s:
             return "weak"
         self._note(has_risen)
         last_s, last_mg, _ = self._last
         most_mg = max(last_mg + known.strongest * (self._passed_s - last_s), known.bank.mass_mg)
         if most_mg + self._missing_mg > self._most_mg:
             return "missing"
-        if self._quiet_s > 0.8 + min(delay_s, 2.0):
+        if self._quiet_s > max(QUIET_S, known.sees_s) + min(delay_s, MOST_QUIET_S):
             return "quiet"
         return "lump" if 0.0 < self._lump_mg < known.reference * self._passed_s else None
 

@@ -93,6 +93,11 @@ class ValvePath:
             opening_mm, self._dead_time_s, self._speed_mm_per_s
         )
 
+    def passing(self, opening_mm: float, open_s: float) -> tuple[float, float]:
+        """The integrals of phi and its slope from an opening until it is shut, which it is told to be after so long."""
+        ramp_s = self.shape.value(opening_mm) / self._speed_mm_per_s
+        return self.passes(opening_mm, open_s), self.shape.slope(opening_mm) * (open_s + self._dead_time_s) + ramp_s
+
     def closing(self, wait_s: Wait) -> tuple[Wait, Wait]:
         """The integrals of phi and its slope until it is shut, if it is told to in `wait_s`."""
         phi, slope = self.shape.value(self.opening_mm), self.shape.slope(self.opening_mm)

@@ -65,12 +65,13 @@ class Guards:
         for device in self._devices:
             if (fault := device.fault) is not None:
                 return fault
-        reading = self._cell.balance.latest
+        reading, is_open = self._cell.balance.latest, self._cell.hand.opening_mm > SHUT_MM
+        if is_open:  # be it for less than a reading takes
+            self._still_since_s = None
         if reading is None or reading is self._seen:
             return None
         self._seen = reading
-        if self._cell.hand.opening_mm > SHUT_MM:
-            self._still_since_s = None
+        if is_open:
             return self._runaway(reading)
         self._beyond_since_s = None
         return self._leak(reading)

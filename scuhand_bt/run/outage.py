@@ -131,7 +131,7 @@ def _weigh_about_the_bare_pan(cell: Cell) -> Steps[tuple[StableMean, StableMean,
     """What the pan shows, the pan bare, and the container on it again."""
     container = cell.believed.pan
     assert container is not None
-    before = yield from cell.balance.stable_mean()
+    before = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
     yield from cell.changer.take_away()
     bare = yield from weigh_changed(cell, before.value_mg)
     yield from cell.changer.bring(container)

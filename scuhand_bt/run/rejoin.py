@@ -78,7 +78,7 @@ def _settle(journal: Journal, cell: Cell, skill: Skill[Any], name: str, changed_
 
 def _compare_pan(journal: Journal, cell: Cell, gross_mg: float) -> Steps[None]:
     """Nothing can have been dosed since the pan was weighed: what it shows otherwise is the balance's zero."""
-    mean = yield from cell.balance.stable_mean()
+    mean = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
     drift_mg = mean.value_mg - gross_mg
     journal.event(PanCompared(**dict(mean.written()), before_mg=gross_mg))
     if abs(drift_mg) > max(1.0, DRIFT_DIGITS * cell.spec.balance.readability_mg):

@@ -1,0 +1,98 @@
+"""Doses on a balance that tells a reading once a second, or more rarely: an opening ends before the next one comes."""
+
+from pathlib import Path
+
+import pytest
+from dose_bench import UNSEEN, Bench, Setting, shipped_powders
+from running import dry_run, make_lab
+
+from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
+from scuhand_bt.dosing.estimation import OPENING_ERROR_MM
+from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, Knowledge
+
+POWDERS = shipped_powders()
+
+
+def setting(period_s: float, stick_probability: float = 0.0) -> Setting:
+    hand = HandSpec(simulation=ValveErrorSpec(stick_probability=stick_probability))
+    return Setting(hand=hand, balance=BalanceSpec(period_s=period_s))
+
+
+def errors_mg(powder: str, period_s: float, target_mg: float, doses: int) -> list[float]:
+    """Of doses one after the other, each of which learns from those before."""
+    belief, balance, errors = POWDERS[powder].belief, UNSEEN, []
+    for dose in range(doses):
+        dosed = Bench(POWDERS[powder], target_mg, dose=dose, setting=setting(period_s)).dose(
+            "adaptive", belief, balance
+        )
+        belief, balance = dosed.learnt(belief, balance)
+        errors.append(dosed.true_error_mg)
+    return errors
+
+
+@pytest.mark.parametrize("powder", ["glass_beads", "monosodium_glutamate"])
+@pytest.mark.parametrize(("period_s", "target_mg"), [(0.5, 35.0), (1.0, 35.0), (1.0, 300.0), (2.0, 50.0)])
+def test_doses_on_a_balance_that_tells_readings_rarely_are_good(powder: str, period_s: float, target_mg: float) -> None:
+    assert max(abs(error_mg) for error_mg in errors_mg(powder, period_s, target_mg, 6)) < 2.0
+
+
+def knowing(period_s: float, coefficient: float = 60.0) -> Knowledge:
+    bench = Bench(POWDERS["glass_beads"], 50.0, setting=setting(period_s))
+    belief = POWDERS["glass_beads"].belief.model_copy(update={"coefficient": coefficient, "spread": 0.15, "doses": 5})
+    known = Knowledge(bench.request(belief))
+    known.error_mm, known.spread = OPENING_ERROR_MM, 0.15  # as when openings have told of it
+    known.begin(0.0, 0.1)
+    return known
+
+
+def test_an_opening_is_the_shorter_the_less_may_come_and_the_stronger_the_flow() -> None:
+    weak, strong = knowing(1.0), knowing(1.0, 600.0)
+    holds_s = [weak.hold_s(0.5, most_mg) for most_mg in (100.0, 30.0, 12.0, 3.0)]
+    assert holds_s[0] == float("inf") > holds_s[1] > holds_s[2] > holds_s[3] == LEAST_HOLD_S
+    assert strong.hold_s(0.5, 100.0) < weak.hold_s(0.5, 100.0)
+
+
+def test_where_readings_come_as_often_as_a_valve_can_open_each_opening_waits_for_one() -> None:
+    assert knowing(0.1).hold_s(2.4, 0.0) == float("inf")
+
+
+def test_an_opening_that_begins_allows_for_a_sheet_that_sticks_and_one_that_goes_on_does_not() -> None:
+    known = knowing(1.0)
+    begins_s = known.hold_s(0.4, 12.0)
+    known.valve.opening_mm = 0.4
+    assert begins_s < known.hold_s(0.4, 12.0)
+
+
+def test_a_sheet_that_sticks_lets_out_little_more_than_may_come() -> None:
+    """What an opening of all the time between two readings let out was 36 mg too much."""
+    belief = POWDERS["glass_beads"].belief.model_copy(update={"coefficient": 90.0, "spread": 0.2, "doses": 3})
+    for dose in range(3):
+        bench = Bench(POWDERS["glass_beads"], 35.0, dose=dose, setting=setting(2.0, 1.0))
+        assert bench.dose("adaptive", belief).true_error_mg < 10.0
+
+
+RECIPE = """
+recipe: r
+workflow: fill_crucible
+samples:
+  - {id: [a, b], source: beads, container: alumina_crucible, mass: [300 mg, 1 g]}
+"""
+
+
+def test_a_stable_mean_may_take_forty_readings(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, asked_s = Bench(POWDERS["glass_beads"], 50.0, setting=setting(2.0)), list[float]()
+    weigh = bench.cell.balance.stable_mean
+    monkeypatch.setattr(bench.cell.balance, "stable_mean", lambda timeout_s: asked_s.append(timeout_s) or weigh())
+    bench.drive(bench.cell.right_of_way.stable_mean())
+    bench.drive(bench.cell.right_of_way.stable_mean(90.0))
+    bench.dose("adaptive")
+    assert (asked_s[:2], set(asked_s[3:])) == ([80.0, 90.0], {80.0})
+
+
+def test_a_whole_run_waits_for_a_balance_that_tells_readings_rarely(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab")
+    cell = lab / "robot" / "cell.yaml"
+    cell.write_text(cell.read_text(encoding="utf-8").replace("period: 100 ms", "period: 2 s"), encoding="utf-8")
+    ran = dry_run(tmp_path, RECIPE, lab=lab, controller="adaptive")
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 2
