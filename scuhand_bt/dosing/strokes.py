@@ -51,6 +51,7 @@ import numpy as np
 
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, NoStrokeError, Stroke
 from scuhand_bt.dosing.swing_plane import Floats, least_attack_deg
+from scuhand_bt.quantity import format_mass
 from scuhand_bt.specs import Mortar, Powder
 
 BEHIND_MM = 4.0
@@ -238,8 +239,8 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
         stroke = stroke if may_be(deeper) else first(layered(GRAINS_LEAST, deeper_mm, FINE_GRID_MM))
     if most_mg(stroke, bed, sheet_radius_mm) <= 0.0:
         raise NoStrokeError(
-            f"{bed.mass_mg / 1000:.1f} g of grains of {bed.powder.grain_mm:g} mm lie less thick than one of them, and "
-            f"no more than {wanted_mg / 1000:.1f} g may be taken at once"
+            f"{format_mass(bed.mass_mg)} of grains of {bed.powder.grain_mm:g} mm lie less thick than one of them, and "
+            f"no more than {format_mass(wanted_mg)} may be taken at once"
         )
     return stroke
 
