@@ -79,6 +79,28 @@ def test_a_dry_run_scoops_by_the_bed_and_the_yield_that_the_plant_has(tmp_path: 
     assert sum(world.masses_mg.values()) == pytest.approx(20_000.0)
 
 
+class Sloppy(Portions):
+    """Of what there is, each scoop throws some over the edge."""
+
+    def move(
+        self, apex_mm: Any, axis: Any, rim_mm: float, in_mortar_mg: float, in_cone_mg: float
+    ) -> tuple[float, float]:
+        gained_mg, _ = super().move(apex_mm, axis, rim_mm, in_mortar_mg, in_cone_mg)
+        return gained_mg, 200.0 if gained_mg and not while_tried(in_mortar_mg) else 0.0
+
+
+class BedThatSpills(Half):
+    bed = Sloppy
+
+
+def test_what_a_dry_run_has_spilled_is_told_although_its_doses_are_right(tmp_path: Path) -> None:
+    ran = ran_on(tmp_path, "BedThatSpills")
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"]
+    (notice,) = ran.session.notices
+    assert notice.startswith("By the simulation 200.0 mg of powder were spilled")
+    assert ran_on(tmp_path, "Half").session.notices == []
+
+
 def test_where_no_scoop_brings_anything_the_sample_fails_and_the_mortar_keeps_all_it_held(tmp_path: Path) -> None:
     ran = ran_on(tmp_path, "Nothing")
     assert [sample.code for sample in ran.result.samples] == ["scoop.nothing"]
