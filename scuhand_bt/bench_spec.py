@@ -28,13 +28,22 @@ class Frame(Spec):
         """Where a point of it really is."""
         yaw_rad = math.radians(self.yaw_deg)
         x, y, z = (p - pivot for p, pivot in zip(point_mm, self.pivot_mm, strict=True))
-        turned = (
-            x * math.cos(yaw_rad) - y * math.sin(yaw_rad),
-            x * math.sin(yaw_rad) + y * math.cos(yaw_rad),
-            z,
-        )
-        x, y, z = (sum(parts) for parts in zip(self.pivot_mm, self.shift_mm, turned, strict=True))
+        x, y, z = (sum(parts) for parts in zip(self.pivot_mm, self.shift_mm, (*turned(x, y, yaw_rad), z), strict=True))
         return x, y, z
+
+    def written_mm(self, point_mm: Point) -> Point:
+        """The figures of a point that really is there: what `moved_mm` moves to it."""
+        zipped = zip(point_mm, self.pivot_mm, self.shift_mm, strict=True)
+        x, y, z = (p - pivot - shift for p, pivot, shift in zipped)
+        x, y = turned(x, y, -math.radians(self.yaw_deg))
+        x, y, z = (p + pivot for p, pivot in zip((x, y, z), self.pivot_mm, strict=True))
+        return x, y, z
+
+
+def turned(x: float, y: float, yaw_rad: float) -> tuple[float, float]:
+    """A point, turned about the origin against the clock seen from above."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return x * cos - y * sin, x * sin + y * cos
 
 
 class Station(Spec):
@@ -45,6 +54,8 @@ class Station(Spec):
     position_mm: Point
     frame: str | None = None
     """What it belongs to, of `frames`; None once `position_mm` is where it really is."""
+    of_frame: Annotated[Frame | None, Field(json_schema_extra=NOT_WRITTEN)] = None
+    """That frame itself, from then on: in its figures the file has to be written."""
 
 
 Size = Annotated[Millimetres, Field(gt=0)]

@@ -91,8 +91,9 @@ class CellSpec(Spec):
                 raise ValueError(f"'{thing.name}' belongs to '{thing.frame}', which is no frame; there are: {known}")
         for name, station in self.stations.items():
             if station.frame is not None:
-                moved_mm = self.frames[station.frame].moved_mm(station.position_mm)
-                self.stations[name] = station.model_copy(update={"position_mm": moved_mm, "frame": None})
+                frame = self.frames[station.frame]
+                there = {"position_mm": frame.moved_mm(station.position_mm), "frame": None, "of_frame": frame}
+                self.stations[name] = station.model_copy(update=there)
         for solids in (self.geometry, self.zones):
             solids[:] = [self._in_base_frame(solid) for solid in solids]
         return self

@@ -92,6 +92,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A source holds less than its samples need, with losses.",
             "More powder, `refill` for a person to bring it on the way, or less samples.",
         ),
+        "source-discarded": _warning(
+            "A source holds what its samples need, but not what their scoops bring more, which is discarded.",
+            "More powder, `refill`, or `leftover: keep` or `return`; `plan` shows by dry runs what is discarded.",
+        ),
         "out-of-reach": Finding(
             "The arm does not reach a place with the cone upright.", "`scuhand-bt reach` draws it."
         ),

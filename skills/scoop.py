@@ -13,7 +13,7 @@ from pydantic import Field
 
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
-from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
+from scuhand_bt.dosing.strokes import LOAD_AIM, Bed, chosen, expected_mg, layer_left, scooped_for_mg
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.skill import (
@@ -34,13 +34,8 @@ from ._emptying import is_over, leave_mortar, pour_rest, put_away
 if TYPE_CHECKING:
     from scuhand_bt.motion.stopping import StoppableTrajectory
 
-LOAD_AIM = 0.95
-"""Share of the powder's load limit that a scoop aims at: what it collects varies."""
 RICH, RICH_AIM = 1.25, 0.8
 """The same for a source that yields so much more than it should: loads were up to a quarter heavier than believed."""
-SPARE = 2.0
-"""Times what is wanted that a scoop is to bring: it may be less than expected, and the last third of it flows badly."""
-SPARE_MG = 2000.0
 NOTHING_LEFT_MG = 30.0
 """Less than this, believed to be in a mortar, is not worth a scoop."""
 PRESSED_BELOW_MG = 1500.0
@@ -112,7 +107,7 @@ class Scoop(Skill[Milligrams]):
         most_mg = aim * source.powder.load_limit_mg / max(1.0, yielded)
         wanted_mg = most_mg = max(most_mg - bed.missed_mg, most_mg / 2)
         if self.wanted_mg is not None:
-            wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / yielded
+            wanted_mg = scooped_for_mg(self.wanted_mg) / yielded
         try:
             stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
         except NoStrokeError as error:

@@ -161,14 +161,14 @@ def test_where_the_roller_is_going_is_on_disk_before_it_turns(rig: Rig) -> None:
 
 
 def kept(path: Path) -> RollerRecord:
-    RollerRecord(HAND, path).keep(100.0, (10.0, 20.0))
+    RollerRecord(HAND, path).keep(1000.0, (10.0, 20.0))
     return RollerRecord(HAND, path)
 
 
 def test_a_count_is_read_as_it_was_kept(tmp_path: Path) -> None:
     count = kept(tmp_path / "roller.json").count
     assert count is not None
-    assert (count.at_zero_deg, count.between_deg, count.is_intact) == (100.0, (10.0, 20.0), True)
+    assert (count.at_zero_deg, count.between_deg, count.is_intact) == (1000.0, (10.0, 20.0), True)
 
 
 @pytest.mark.parametrize(
@@ -190,6 +190,23 @@ def test_a_file_that_is_damaged_tells_nothing(tmp_path: Path, text: bytes) -> No
     kept(tmp_path / "roller.json")
     (tmp_path / "roller.json").write_bytes(text)
     assert RollerRecord(HAND, tmp_path / "roller.json").count is None
+
+
+@pytest.mark.parametrize("rim_mm", [30.5, 90.0, 94.5])
+@pytest.mark.parametrize(("off_deg", "is_believed"), [(0.0, True), (-7200.0, False), (7200.0, False)])
+def test_a_count_by_which_the_last_move_made_no_rim_that_there_can_be_tells_nothing(
+    tmp_path: Path, rim_mm: float, off_deg: float, is_believed: bool
+) -> None:
+    """In other units, with a digit lost: the cone would be believed to be one that no sheet makes, and be turned."""
+    path = tmp_path / "roller.json"
+    RollerRecord(HAND, path).keep(Cone(rim_mm).roller_deg(HAND) - 180.0 + off_deg, (180.0, 180.0))
+    assert (RollerRecord(HAND, path).count is not None) == is_believed
+
+
+def test_a_count_in_radians_tells_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "roller.json"
+    RollerRecord(HAND, path).keep(math.radians(Cone(90.0).roller_deg(HAND)), (math.radians(180.0), math.radians(180.0)))
+    assert RollerRecord(HAND, path).count is None
 
 
 def test_a_count_that_cannot_be_written_is_an_error_and_the_one_before_stays(tmp_path: Path) -> None:

@@ -303,6 +303,9 @@ def test_of_grains_as_coarse_as_the_bed_is_thick_a_thinner_layer_is_left_but_nev
     pebbles = BEADS.model_copy(update={"grain_mm": 15.0})
     with pytest.raises(NoStrokeError, match="less thick than one of them"):
         chosen(Bed(MORTAR, 6000.0, pebbles), SHEET_MM, 2000.0)
+    said = r"500\.0 mg of grains of 3 mm lie less thick than one of them, and no more than 25\.0 mg may be taken"
+    with pytest.raises(NoStrokeError, match=said):
+        chosen(Bed(MORTAR, 500.0, coarse), SHEET_MM, 25.0)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from running import Ran, dry_run
 
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.sim.plant import Plant, PlantError
+from scuhand_bt.sim.plant import Plant, PlantError, load_plant
 
 RECIPE = """
 recipe: own
@@ -79,12 +79,110 @@ def test_a_dry_run_scoops_by_the_bed_and_the_yield_that_the_plant_has(tmp_path: 
     assert sum(world.masses_mg.values()) == pytest.approx(20_000.0)
 
 
+class Sloppy(Portions):
+    """Of what there is, each scoop throws some over the edge."""
+
+    def move(
+        self, apex_mm: Any, axis: Any, rim_mm: float, in_mortar_mg: float, in_cone_mg: float
+    ) -> tuple[float, float]:
+        gained_mg, _ = super().move(apex_mm, axis, rim_mm, in_mortar_mg, in_cone_mg)
+        return gained_mg, 200.0 if gained_mg and not while_tried(in_mortar_mg) else 0.0
+
+
+class BedThatSpills(Half):
+    bed = Sloppy
+
+
+def test_what_a_dry_run_has_spilled_is_told_although_its_doses_are_right(tmp_path: Path) -> None:
+    ran = ran_on(tmp_path, "BedThatSpills")
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"]
+    (notice,) = ran.session.notices
+    assert notice.startswith("By the simulation 200.0 mg of powder were spilled")
+    assert ran_on(tmp_path, "Half").session.notices == []
+
+
 def test_where_no_scoop_brings_anything_the_sample_fails_and_the_mortar_keeps_all_it_held(tmp_path: Path) -> None:
     ran = ran_on(tmp_path, "Nothing")
     assert [sample.code for sample in ran.result.samples] == ["scoop.nothing"]
     world = ran.session.world
     assert world is not None
     assert world.masses_mg["source:beads"] == pytest.approx(20_000.0, abs=1.0)
+
+
+def while_tried(in_mortar_mg: float) -> bool:
+    return in_mortar_mg < 20_000.0
+
+
+class NoPair(Portions):
+    def move(self, apex_mm: Any, axis: Any, rim_mm: float, in_mortar_mg: float, in_cone_mg: float) -> Any:
+        return (0.0, 0.0) if while_tried(in_mortar_mg) else 0.0
+
+
+class Leaves(Portions):
+    def move(self, apex_mm: Any, axis: Any, rim_mm: float, in_mortar_mg: float, in_cone_mg: float) -> Any:
+        if not while_tried(in_mortar_mg):
+            raise SystemExit(0)
+        return 0.0, 0.0
+
+
+class Stays(Portions):
+    _is_tried = True
+
+    def leave(self) -> None:
+        if not self._is_tried:
+            raise KeyError("way out")
+
+    def move(
+        self, apex_mm: Any, axis: Any, rim_mm: float, in_mortar_mg: float, in_cone_mg: float
+    ) -> tuple[float, float]:
+        self._is_tried = while_tried(in_mortar_mg)
+        return 0.0, 0.0
+
+
+class NoMass(Of):
+    def collect(self, lifted_mg: float, there_mg: float, rng: Any) -> Any:
+        return 0.0 if there_mg == 1000.0 else None
+
+
+class BedOfNoPair(Half):
+    bed = NoPair
+
+
+class BedThatExits(Half):
+    bed = Leaves
+
+
+class BedThatStays(Half):
+    bed = Stays
+
+
+class YieldOfNoMass(Half):
+    def scoop(self, powder: object) -> Of:
+        return NoMass(0.5)
+
+
+@pytest.mark.parametrize(
+    ("plant", "told"),
+    [
+        ("BedOfNoPair", "TypeError in bed"),
+        ("BedThatExits", "SystemExit in bed"),
+        ("BedThatStays", "KeyError in bed: 'way out'"),
+        ("YieldOfNoMass", "TypeError in scoop"),
+    ],
+)
+def test_a_bed_or_a_yield_that_breaks_in_a_run_ends_it_with_a_fault_that_names_the_plant(
+    tmp_path: Path, plant: str, told: str
+) -> None:
+    ran = ran_on(tmp_path, plant)
+    assert ran.result.exit_code == 3
+    assert f"{plant}: {told}" in ran.result.reason
+
+
+def test_a_plant_whose_file_exits_as_it_is_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "exits_when_read.py").write_text("raise SystemExit(0)\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlantError, match=r"module 'exits_when_read' cannot be imported: SystemExit: 0"):
+        load_plant("exits_when_read:Own")
 
 
 class Forgetful(Portions):

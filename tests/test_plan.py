@@ -3,7 +3,9 @@
 import pytest
 from conftest import Desk, LabFolder
 
+from scuhand_bt.problems import Problems
 from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.recipe import read_recipe
 
 TWO = """\
 recipe: two
@@ -116,3 +118,36 @@ def test_a_forecast_that_breaks_is_said_where_the_skill_is_called(desk: Desk, la
     except Exception as error:
         said = str(error)
     assert "scoop_and_dispense.yaml:11:7: the forecast of 'park' broke: ZeroDivisionError" in said
+
+
+DISCARDING = """
+recipe: discarding
+workflow: fill_crucible
+leftover: discard
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 6 g}}
+defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
+samples: [{id: a, mass: 300 mg, repeat: 4}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "gone"),
+    [
+        ("", "", "6.9 g"),  # 2 x 300 mg and 2 g, less what is dosed, after three of them
+        ("amount: 6 g", "amount: 9 g", None),
+        ("repeat: 4", "repeat: 1", None),
+        ("leftover: discard\n", "", None),
+        ("leftover: discard", "leftover: return", None),
+        ("amount: 6 g", "amount: 6 g, refill: 3 g", None),
+        ("mass: 300 mg, repeat: 4", "mass: 2.5 g, repeat: 2", "2.2 g"),
+    ],
+)
+def test_a_mortar_that_may_run_out_as_powder_is_discarded_is_warned_of(
+    desk: Desk, old: str, new: str, gone: str | None
+) -> None:
+    problems = Problems()
+    read_recipe(desk.write("recipe.yaml", DISCARDING.replace(old, new) if old else DISCARDING), desk.lab, problems)
+    assert not problems.errors
+    told = [problem.message for problem in problems.found if problem.code == "source-discarded"]
+    assert len(told) == (gone is not None)
+    assert gone is None or f"some {gone} are discarded before the last one" in told[0]

@@ -123,3 +123,10 @@ def test_a_lab_without_the_workflow_is_told_what_it_is_for(desk: Desk, lab_folde
     desk.lab = lab_folder.load()
     with pytest.raises(SourceError, match="the workflow 'refill' is missing; this plan needs it to refill mortars"):
         plan_of(desk, SIX)
+
+
+def test_what_is_discarded_after_each_sample_is_refilled_too(desk: Desk) -> None:
+    """A scoop for 100 mg brings all of the 600 mg; one visit, before the fifth, was planned."""
+    discarding = RECIPE.replace("samples:", "leftover: discard\nsamples:")
+    plan = make_plan(desk.load(discarding + SIX), desk.lab)
+    assert plan.refills == {"beads": 5}

@@ -117,6 +117,35 @@ def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and
     assert blocked(lab) == []
 
 
+def test_where_a_mortar_may_stand_is_told_in_the_figures_of_its_frame(lab: LabFolder) -> None:
+    """What stands turned and shifted is written into the cell's file as it was drawn."""
+    moved = "table:   {pivot: [260 mm, 0 mm, 0 mm], shift: [12 mm, -8 mm, 3 mm], yaw: 15 deg, "
+    lab.replace("robot/cell.yaml", "table:   {", moved)
+    lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[410 mm, 160 mm, 0 mm]")
+    (message,) = blocked(lab)
+    proposed = re.search(r"With 'mortar_bay' at \[(.*)\] it can scoop there", message)
+    assert proposed is not None, message
+    assert proposed[1].endswith(", 0 mm"), "on the table, which is 3 mm higher"
+    lab.replace("robot/cell.yaml", "410 mm, 160 mm, 0 mm", proposed[1])
+    assert blocked(lab) == []
+    position_mm = read_lab(lab.folder).cell.stations["mortar_bay"].position_mm
+    assert position_mm == pytest.approx((280.0, 200.0, 3.0), abs=0.1), "the nearest of the places about the arm"
+
+
+def test_a_mortar_is_proposed_to_stand_in_no_box_that_is_turned(lab: LabFolder) -> None:
+    here = "mortar_bay:   {kind: mortar,  position: [200 mm,  240 mm, 0 mm]"
+    lab.replace("robot/cell.yaml", here, here.replace("200 mm,  240 mm, 0 mm", "420 mm, 180 mm, 0 mm"))
+    bar = "  - {name: bar, box: [200 mm, 20 mm, 8 mm], at: [280 mm, 320 mm, 4 mm], yaw: 0 deg}\n"
+    stands(lab, bar)
+    beside = "With 'mortar_bay' at [280 mm, 200 mm, 0 mm]"
+    (message,) = blocked(lab)
+    assert beside in message
+    lab.replace("robot/cell.yaml", "yaw: 0 deg}", "yaw: 90 deg}")
+    (message,) = blocked(lab)
+    assert "With 'mortar_bay' at" in message
+    assert beside not in message
+
+
 def test_a_mortar_with_so_thin_a_floor_that_handle_and_wrist_come_too_low_is_proposed_on_a_stand(
     lab: LabFolder,
 ) -> None:

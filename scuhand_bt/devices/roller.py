@@ -47,7 +47,7 @@ class RollerRecord:
     def __init__(self, hand: HandSpec, path: Path | None = None) -> None:
         options = hand.options
         self.set_up = (options.roller_id, options.roller_direction, hand.roller_deg_per_mm, hand.sheet_radius_mm)
-        self._path = path
+        self._hand, self._path = hand, path
         self.count = self._read()
         """None where nothing is known."""
 
@@ -67,7 +67,13 @@ class RollerRecord:
             count = RollerCount.model_validate_json(self._path.read_bytes())
         except (OSError, ValidationError):  # whatever it was: a person says
             return None
-        return count if count.set_up == self.set_up else None
+        return count if count.set_up == self.set_up and self._may_be(count) else None
+
+    def _may_be(self, count: RollerCount) -> bool:
+        """Whether its last move made rims within their limits, as every move does: a damaged figure seldom has."""
+        least_deg, most_deg = turned_limits_deg(self._hand)
+        ends_deg = [count.at_zero_deg + end_deg for end_deg in count.between_deg]
+        return least_deg - BEYOND_DEG <= min(ends_deg) and max(ends_deg) <= most_deg + BEYOND_DEG
 
     def _write(self, count: RollerCount) -> None:
         if count == self.count:
@@ -90,11 +96,17 @@ def rims_mm(turned_deg: float, hand: HandSpec) -> list[float]:
 
     `turned_deg` is its angle from the flat sheet, but for whole turns.
     """
-    narrowest_mm, widest_mm = hand.rim_limits_mm
-    least_deg, most_deg = (Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand) for rim_mm in (widest_mm, narrowest_mm))
+    least_deg, most_deg = turned_limits_deg(hand)
     first = math.ceil((least_deg - turned_deg) / 360.0)
     last = math.floor((most_deg - turned_deg) / 360.0)
     return [Cone.from_roller(turned_deg + 360.0 * n, hand).diameter_mm for n in range(first, last + 1)]
+
+
+def turned_limits_deg(hand: HandSpec) -> tuple[float, float]:
+    """The roller's angles from the flat sheet at the widest and at the narrowest rim."""
+    narrowest_mm, widest_mm = hand.rim_limits_mm
+    least_deg, most_deg = (Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand) for rim_mm in (widest_mm, narrowest_mm))
+    return least_deg, most_deg
 
 
 def _replace(path: Path, text: str) -> None:

@@ -51,6 +51,7 @@ import numpy as np
 
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, NoStrokeError, Stroke
 from scuhand_bt.dosing.swing_plane import Floats, least_attack_deg
+from scuhand_bt.quantity import format_mass
 from scuhand_bt.specs import Mortar, Powder
 
 BEHIND_MM = 4.0
@@ -85,6 +86,10 @@ SLIPS = 0.033
 """By discrete elements: 1.06 g, where without it 1.48 g were expected of a bowl of 35 mm and a sheet of 50 mm."""
 SIDES_MM = 0.4
 """S: how much thicker at the bore's edge is what strokes with a gap leave. By the height field."""
+SPARE, SPARE_MG = 2.0, 2000.0
+"""Times what is to be dosed that a scoop is to bring, and so much more."""
+LOAD_AIM = 0.95
+"""Share of the powder's load limit that a scoop aims at, at most: what it collects varies."""
 RINGS = 100
 THIN_MM = 0.01
 
@@ -102,6 +107,11 @@ class Layer:
     """What has fallen back before lips that left the wall, besides: high up, where the next strokes find little."""
     missed_mg: float = 0.0
     """Of that, what is there only because the last stroke did not find it: the next one may find it all the same."""
+
+
+def scooped_for_mg(dose_mg: float) -> float:
+    """What a scoop for a dose is to bring: it may be less than expected, and the last third of it flows badly."""
+    return SPARE * dose_mg + SPARE_MG
 
 
 class Bed:
@@ -229,8 +239,8 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
         stroke = stroke if may_be(deeper) else first(layered(GRAINS_LEAST, deeper_mm, FINE_GRID_MM))
     if most_mg(stroke, bed, sheet_radius_mm) <= 0.0:
         raise NoStrokeError(
-            f"{bed.mass_mg / 1000:.1f} g of grains of {bed.powder.grain_mm:g} mm lie less thick than one of them, and "
-            f"no more than {wanted_mg / 1000:.1f} g may be taken at once"
+            f"{format_mass(bed.mass_mg)} of grains of {bed.powder.grain_mm:g} mm lie less thick than one of them, and "
+            f"no more than {format_mass(wanted_mg)} may be taken at once"
         )
     return stroke
 

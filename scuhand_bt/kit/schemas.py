@@ -76,6 +76,7 @@ def _cell(lab: Lab) -> Json:
     made = _model(CellSpec)
     properties = made["properties"]
     properties["stations"] = _named(_model(Station))
+    properties["stations"]["additionalProperties"]["properties"].pop("of_frame")  # which no file gives
     properties.pop("own_options")
     for key in ("geometry", "zones"):
         properties[key]["items"]["properties"].pop("mesh_digest", None)  # which no file gives

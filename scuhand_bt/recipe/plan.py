@@ -11,7 +11,7 @@ from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe.flow import is_known, known
 from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
-from scuhand_bt.recipe.sample import Demand, Sample, demand_of, needed_mg
+from scuhand_bt.recipe.sample import Demand, Sample, demand_of, discarded_mg, needed_mg
 from scuhand_bt.recipe.sources import REFILL
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
@@ -33,6 +33,7 @@ AFTER_FAILURE = "after_failure"
 RESERVE = 0.2
 """The share of its amount below which a mortar does not come where it is refilled: of little a scoop takes less than is
 expected, and more are made than are planned."""
+ROUNDED_MG = 1e-6
 SERVICE = (CHANGE_POWDER, CLEAR_AND_CHANGE_POWDER, FINISH_BATCH, AFTER_FAILURE, REFILL)
 """The workflows that the engine calls, with a source that they may use."""
 
@@ -166,12 +167,15 @@ def _refills(sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[P
         if source.refill_mg is None:
             continue
         left_mg, since = source.amount_mg, list[tuple[Job, float]]()  # what there was before each job since a refill
-        to_come_mg = sum(needed_mg(sample, source) for sample in samples)
+        to_come_mg = sum(needed_mg(sample, source) + discarded_mg(sample, source) for sample in samples)
         for job in jobs:
             since.append((job, left_mg))
             needs_mg = needed_mg(job.sample, source) if job.sample is not None else 0.0
-            is_short = left_mg < to_come_mg and left_mg - needs_mg < RESERVE * source.amount_mg
-            to_come_mg -= needs_mg
+            goes_mg = discarded_mg(job.sample, source) if job.sample is not None else 0.0
+            to_come_mg -= needs_mg + goes_mg
+            # What is discarded after the last one nothing lacks.
+            lacks = left_mg < needs_mg + (goes_mg + to_come_mg if to_come_mg > ROUNDED_MG else 0.0)
+            is_short = lacks and left_mg - needs_mg < RESERVE * source.amount_mg
             if needs_mg > 0.0 and is_short:
                 with_person = [(one, mg) for one, mg in since if one.name in visits and source.refill_into_mg(mg) > 0.0]
                 at, held_mg = with_person[-1] if with_person else (job, left_mg)
@@ -182,6 +186,7 @@ def _refills(sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[P
                 left_mg += source.refill_into_mg(held_mg)
                 since = []
             left_mg -= needs_mg
+            left_mg -= min(goes_mg, max(0.0, left_mg))  # a scoop takes no more than there is
     return found
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from scuhand_bt.cell import places
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.dosing.strokes import LOAD_AIM, scooped_for_mg
 from scuhand_bt.motion import ApexPose, Mount, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass
@@ -177,6 +178,19 @@ def needed_mg(sample: Sample, source: Source) -> float:
     return sum(take.needed_mg for take in sample.takes if take.source.name == source.name)
 
 
+def discarded_mg(sample: Sample, source: Source) -> float:
+    """What a sample's last scoop from a source is to bring more than it needs, where that is discarded.
+
+    Of a mortar that holds little a scoop brings less. It is for planning: what a run discards, only it knows.
+    """
+    takes_mg = sum(take.mass_mg or 0.0 for take in sample.takes if take.source.name == source.name)
+    if source.leftover != "discard" or takes_mg == 0.0:
+        return 0.0
+    most_mg = LOAD_AIM * source.powder.load_limit_mg
+    last_mg = takes_mg - most_mg * (math.ceil(takes_mg / most_mg) - 1)
+    return min(scooped_for_mg(last_mg), most_mg) - last_mg
+
+
 def check_source(source: Source, cell: CellSpec, marks: Mapping[str, Node], problems: Problems) -> None:
     """The source's powder must fit into its mortar, and come where the hand opens as wide as it can.
 
@@ -295,6 +309,22 @@ def check_demand(
             if may_refill and most_mg <= source.amount_mg:
                 ways.append(f"let a person refill it on the way: refill: {_rounded(source.amount_mg, math.floor)}")
             problems.add(marks[name], f"{holds}, but {needs}", ", or ".join(ways), code="source-short")
+        elif source.refill_mg is None:
+            _warn_of_discarded(samples, source, demand, marks[name], problems)
+
+
+def _warn_of_discarded(
+    samples: Sequence[Sample], source: Source, demand: Demand, mark: Mark, problems: Problems
+) -> None:
+    """Where what is discarded after all samples but the last leaves too little for it."""
+    discarded = [mg for mg in (discarded_mg(sample, source) for sample in samples) if mg > 0.0]
+    gone_mg = sum(discarded[:-1])
+    if demand.needed_mg + gone_mg > source.amount_mg:
+        holds = f"'{source.name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
+        what = f"{holds}, its samples need {format_mass(demand.needed_mg)} with losses"
+        scoops = f"as scoops bring more than a dose some {gone_mg / 1000:.1f} g are discarded before the last one"
+        remedy = "more powder, `leftover: keep` or `return`, or see by `plan` what dry runs discard"
+        problems.warn(mark, f"{what}, and {scoops}: it may run out", remedy, code="source-discarded")
 
 
 def _rounded(mass_mg: float, towards: Callable[[float], int]) -> str:

@@ -20,6 +20,7 @@ from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.lab_state.ledger import Occasion
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
@@ -51,6 +52,9 @@ from scuhand_bt.run.single_step import SingleStep
 from scuhand_bt.run.twins import folder_of_run
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.substitutes import Substitutes
+
+TOLD_SPILLED_MG = 1.0
+"""What has come to lie beside mortars, pan and waste is told from so much on, where a simulation knows of it."""
 
 
 class Session:
@@ -282,6 +286,9 @@ class Session:
             try:
                 if truth is not None and (masses_mg := truth.masses_mg):
                     self.journal.event(Matter(**masses_mg))
+                    if (spilled_mg := masses_mg.get("spilled", 0.0)) >= TOLD_SPILLED_MG:
+                        spilled = f"By the simulation {format_mass(spilled_mg)} of powder were spilled"
+                        self.notices.append(f"{spilled}: `scuhand-bt show` has what was done meanwhile")
                 if truth is not None and (account := truth.fault_account):
                     self._account = [RuleAccount(**rule) for rule in account]
                     self.journal.event(FaultRules(rules=self._account))

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from scuhand_bt.bench_spec import Point, Station, turned
 from scuhand_bt.cell.cell import carrying_limit_deg
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.scooping import planned_stroke
@@ -206,7 +207,8 @@ def _elsewhere(
         for out_mm, turn_deg in itertools.product(OUT_MM, (*TURNS_DEG, *(-turn_deg for turn_deg in TURNS_DEG)))
     ]
     places.sort(key=lambda place_mm: math.dist(place_mm, station.position_mm))
-    for place_mm in (*places, *((x_mm, y_mm, z_mm + stand_mm) for stand_mm in STANDS_MM)):
+    for wished_mm in (*places, *((x_mm, y_mm, z_mm + stand_mm) for stand_mm in STANDS_MM)):
+        written_mm, place_mm = _as_written(station, wished_mm)
         if not _has_room(cell, station.name, place_mm, source):
             continue
         there = station.model_copy(update={"position_mm": place_mm})
@@ -221,9 +223,17 @@ def _elsewhere(
             _ways(planner, plan, moved, kinds, scooped)
         except SkillFailed:
             continue
-        at = ", ".join(f"{mm:g} mm" for mm in place_mm)
+        at = ", ".join(f"{mm:g} mm" for mm in written_mm)
         return f"With '{station.name}' at [{at}] it can scoop there, and carry what it has scooped to where it goes"
     return f"'{station.name}' may be at none of the places that were tried: look at `scuhand-bt reach --task scoop`"
+
+
+def _as_written(station: Station, place_mm: Point) -> tuple[Point, Point]:
+    """How the cell's file has a place for a station, to 0.1 mm, and where what is written there really is."""
+    if (frame := station.of_frame) is None:
+        return place_mm, place_mm
+    x_mm, y_mm, z_mm = (round(mm, 1) + 0.0 for mm in frame.written_mm(place_mm))
+    return (x_mm, y_mm, z_mm), frame.moved_mm((x_mm, y_mm, z_mm))
 
 
 def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], source: Source) -> bool:
@@ -246,8 +256,9 @@ def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], s
         is_as_high = abs(solid.at_mm[2] - place_mm[2] - source.mortar.height_mm / 2) < (
             (high_mm + source.mortar.height_mm) / 2
         )
-        aside_mm = [abs(there - here) for there, here in zip(solid.at_mm[:2], place_mm[:2], strict=True)]
-        if is_as_high and aside_mm[0] < wide_mm / 2 + half_mm and aside_mm[1] < deep_mm / 2 + half_mm:
+        aside_mm = (place_mm[0] - solid.at_mm[0], place_mm[1] - solid.at_mm[1])
+        x_mm, y_mm = turned(*aside_mm, -math.radians(solid.yaw_deg))  # as a box lies
+        if is_as_high and abs(x_mm) < wide_mm / 2 + half_mm and abs(y_mm) < deep_mm / 2 + half_mm:
             return False
     return True
 

@@ -18,7 +18,7 @@ from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.faults import FLIPPED, Faults
-from scuhand_bt.sim.plant import Plant
+from scuhand_bt.sim.plant import BREAKS, Plant
 
 BAND_DIGITS = 1.5
 WINDOW_S = 1.0
@@ -140,7 +140,7 @@ class SimulatedBalance:
         """Go on by `dt_s`; at the end of a period a reading is given out."""
         try:
             value_mg = self._plant.reading(self._response.step(dt_s, on_pan_mg, landing_mg, vibration, self._rng))
-        except Exception as error:  # of somebody's plant
+        except BREAKS as error:  # of somebody's plant
             self._plant.blame(error, "balance")
             raise
         if end_s < self.next_reading_s - 1e-9:

@@ -28,7 +28,7 @@ from scuhand_bt.sim.mass_ledger import (
 from scuhand_bt.sim.mortars import Mortars
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plain_state import Misplaced
-from scuhand_bt.sim.plant import Plant, PowderFlow
+from scuhand_bt.sim.plant import BREAKS, Plant, PowderFlow
 from scuhand_bt.sim.spilling import Carried, poured_mg
 from scuhand_bt.sim.under_the_cone import Surroundings
 from scuhand_bt.specs import Source
@@ -171,7 +171,7 @@ class ConeLoad:
         try:
             leaving_mg = self._flow.step(dt_s, opening_mm, self._hand.felt_vibration, in_cone_mg, self._flow_rng)
             leaving_mg = self._plant.leaving(leaving_mg, in_cone_mg)
-        except Exception as error:  # of somebody's plant
+        except BREAKS as error:  # of somebody's plant
             self._plant.blame(error, "flow")
             raise
         self.drop(end_s, leaving_mg)

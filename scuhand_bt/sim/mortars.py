@@ -39,21 +39,24 @@ class Mortars:
     @property
     def kept(self) -> dict[str, Plain]:
         """What lies where, by source."""
-        return {name: bed.kept for name, bed in self._beds.items()}
+        with self._plant.breaks_in("bed"):
+            return {name: bed.kept for name, bed in self._beds.items()}
 
     @kept.setter
     def kept(self, by_source: dict[str, Plain]) -> None:
         for name, kept in by_source.items():
             if name not in self._sources:
                 raise Misplaced(f"a mortar of '{name}', which the recipe no longer has, was scooped from")
-            self._bed(name).kept = kept
+            with self._plant.breaks_in("bed"):
+                self._bed(name).kept = kept
 
     def go(self, pose: ConePose, of: str | None) -> bool:
         """The cone, which holds powder of source `of`, is here now; whether it has just left a mortar."""
         was, self.inside = self.inside, self._around(pose)
         in_cone_mg = self._ledger.masses_mg[CONE]
         if was is not None and was != self.inside:
-            self._beds[was].leave()
+            with self._plant.breaks_in("bed"):
+                self._beds[was].leave()
             return True
         if self.inside is not None:
             if was is None:
@@ -70,7 +73,8 @@ class Mortars:
         ledger, place = self._ledger, in_source(name)
         there_mg = lifted_mg + ledger.masses_mg[place]
         powder = self._sources[name].powder
-        kept_mg = self._plant.collected(self._plant.scoop(powder).collect(lifted_mg, there_mg, rng), there_mg)
+        with self._plant.breaks_in("scoop"):
+            kept_mg = self._plant.collected(self._plant.scoop(powder).collect(lifted_mg, there_mg, rng), there_mg)
         self.give_back(name, max(0.0, lifted_mg - kept_mg))
         ledger.transfer(place, CONE, min(max(0.0, kept_mg - lifted_mg), ledger.masses_mg[place]))
         room_mg = max(0.0, powder.simulation.residue_mg - ledger.masses_mg[SHEET])
@@ -83,11 +87,12 @@ class Mortars:
     def _move(self, name: str, pose: ConePose, of: str | None) -> None:
         masses_mg, place = self._ledger.masses_mg, in_source(name)
         local = pose.apex_mm - self._bottoms[name]
-        gained_mg, lost_mg = self._plant.moved(
-            self._bed(name).move(local, pose.axis, pose.rim_mm, masses_mg[place], masses_mg[CONE]),
-            masses_mg[place],
-            masses_mg[CONE],
-        )
+        with self._plant.breaks_in("bed"):
+            gained_mg, lost_mg = self._plant.moved(
+                self._bed(name).move(local, pose.axis, pose.rim_mm, masses_mg[place], masses_mg[CONE]),
+                masses_mg[place],
+                masses_mg[CONE],
+            )
         if gained_mg >= 0.0:
             self._ledger.transfer(place, CONE, min(gained_mg, masses_mg[place]))
         else:

@@ -7,7 +7,8 @@ The class is built without arguments and offers any of `flow(powder)`, `balance(
 import importlib
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import numpy as np
@@ -67,6 +68,8 @@ class ScoopYield(Protocol):
         ...
 
 
+BREAKS = (Exception, SystemExit)
+"""How somebody's code ends that breaks: one that exits would else end the run as if all had been done."""
 ROUNDING = 1e-6
 """Share of a mass that sums of its parts may be off by."""
 
@@ -119,7 +122,7 @@ class Plant:
                 self._probe_bed(mortar, powder)
         except PlantError:
             raise
-        except Exception as error:
+        except BREAKS as error:
             raise PlantError(f"{self.name}: {type(error).__name__} while it was tried: {error}") from error
 
     def _probe_bed(self, mortar: Mortar, powder: Powder) -> None:
@@ -136,7 +139,16 @@ class Plant:
                 f"{self.name}: 'kept' of {call} is not what a resumed run can begin with: {why}"
             ) from error
 
-    def blame(self, error: Exception, seam: str) -> None:
+    @contextmanager
+    def breaks_in(self, seam: str) -> Iterator[None]:
+        """What breaks within is blamed on the plant; for what is done rarely, as each use of this costs time."""
+        try:
+            yield
+        except BREAKS as error:
+            self.blame(error, seam)
+            raise
+
+    def blame(self, error: BaseException, seam: str) -> None:
         """PlantError for what has broken while physics that are not ours went on by a step; nothing where they are."""
         if self._theirs is not None and not isinstance(error, PlantError):
             raise PlantError(f"{self.name}: {type(error).__name__} in {seam}: {error}") from error
@@ -194,7 +206,7 @@ def load_plant(name: str | None) -> Plant:
         raise PlantError(f"plant '{name}': write it as module:Class, such as my_lab.plants:DampPowder")
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:
+    except BREAKS as error:
         why = f"{type(error).__name__}: {error}"
         raise PlantError(f"plant '{name}': module '{module_name}' cannot be imported: {why}") from error
     made = getattr(module, class_name, None)
@@ -206,5 +218,5 @@ def load_plant(name: str | None) -> Plant:
         raise PlantError(f"plant '{name}': {class_name} offers none of {seams}")
     try:
         return Plant(made(), name)
-    except Exception as error:
+    except BREAKS as error:
         raise PlantError(f"plant '{name}': {class_name}() failed: {type(error).__name__}: {error}") from error
