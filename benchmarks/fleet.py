@@ -18,7 +18,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Awaitable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -145,18 +145,32 @@ def _spread(found: Sequence[float]) -> dict[str, float]:
     return {"mean": statistics.mean(ordered), "p99": ordered[int(0.99 * (len(ordered) - 1))], "most": ordered[-1]}
 
 
-def main() -> None:
+def at_least(least: int) -> Callable[[str], int]:
+    """A whole number of an argument, which is not less."""
+
+    def number(text: str) -> int:
+        if (given := int(text)) < least:
+            raise argparse.ArgumentTypeError(f"{given}: it is at least {least}")
+        return given
+
+    return number
+
+
+def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--days", type=int, default=5)
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--draw", type=int, metavar="SEEDS")
-    parser.add_argument("--queue", type=int, metavar="JOBS")
-    parser.add_argument("--chaos", type=int, metavar="KILLS")
+    parser.add_argument("--days", type=at_least(1), default=5)
+    parser.add_argument("--seeds", type=at_least(1), default=2)
+    part = parser.add_mutually_exclusive_group()
+    part.add_argument("--draw", type=at_least(1), metavar="SEEDS")
+    part.add_argument("--queue", type=at_least(SINGLE), metavar="JOBS")
+    part.add_argument("--chaos", type=at_least(1), metavar="KILLS")
     parser.add_argument("--json", type=Path, default=RESULTS)
-    given = parser.parse_args()
+    given = parser.parse_args(words)
     results = json.loads(given.json.read_text(encoding="utf-8")) if given.json.exists() else {}
     if given.draw:
         results["kinds"] = [asdict(kind) for kind in draw(given.draw)]
+        for of_others in ("fleets", "assumed"):  # which were simulated with other dry runs
+            results.pop(of_others, None)
     elif given.queue:
         with server() as made:
             results["queue"] = asyncio.run(queue_costs(made.address(), given.queue))
@@ -166,6 +180,8 @@ def main() -> None:
             found = chaos(Path(folder), made, kills=given.chaos, seed=0)
         results["chaos"] = TypeAdapter(Chaos).dump_python(found, mode="json")  # `asdict` counts a Counter's pairs
         print(json.dumps(results["chaos"], indent=1))
+    elif "kinds" not in results:
+        parser.error(f"{given.json} has no dry runs that a fleet's are drawn from: --draw SEEDS makes some")
     else:
         kinds = [Kind(**{**kind, "runs": [DryRun(**run) for run in kind["runs"]]}) for kind in results["kinds"]]
         results["fleets"] = fleets(kinds, days=given.days, seeds=given.seeds)

@@ -288,6 +288,12 @@ class Bench:
     def ticked(self, root: Any) -> None:
         self.trees.append(root)
 
+    def paused(self) -> None:
+        pass
+
+    def continued(self) -> None:
+        pass
+
     @property
     def log(self) -> list[tuple[float, str]]:
         return self.cell.log

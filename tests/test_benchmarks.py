@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import yaml
 from dose_bench import shipped_powders
 
-from benchmarks import dosing_ablation, dosing_random, rig
+from benchmarks import dosing_ablation, dosing_random, fleet, rig
 from benchmarks.calibration import (
     TABLES,
     Result,
@@ -309,6 +310,32 @@ FIGURES = {
 )
 def test_worth_is_told_where_it_is_more_than_chance(changed: dict[str, float], told: str) -> None:
     assert worth([(FIGURES, FIGURES | changed)]) == told
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["--days 0", "--seeds 0", "--draw 0", "--queue 0", "--queue 999", "--chaos 0", "--draw 1 --queue 1000", ""],
+)
+def test_a_fleet_of_nothing_is_refused_and_its_results_stay(
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--draw 0` simulated the fleets anew, and wrote them over what there was."""
+    kept = tmp_path / "kept.json"
+    kept.write_text('{"fleets": 1}', encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        fleet.main([*words.split(), "--json", str(kept)])
+    assert ended.value.code == 2
+    assert re.search("it is at least|not allowed with|has no dry runs", capsys.readouterr().err)
+    assert kept.read_text(encoding="utf-8") == '{"fleets": 1}'
+
+
+def test_of_other_dry_runs_no_fleet_is_told_any_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = tmp_path / "kept.json"
+    kept.write_text('{"fleets": 1, "assumed": 2, "queue": 3}', encoding="utf-8")
+    monkeypatch.setattr(fleet, "draw", lambda seeds: [])
+    with pytest.raises(SystemExit):
+        fleet.main(["--draw", "1", "--json", str(kept)])
+    assert json.loads(kept.read_text(encoding="utf-8")) == {"queue": 3, "kinds": []}
 
 
 def test_the_table_of_constants_is_filled_from_the_results() -> None:

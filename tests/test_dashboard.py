@@ -15,17 +15,20 @@ from test_answers import ASK, RECIPE, Run, told
 
 from scuhand_bt.dashboard.page_state import Page, banner
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.events.entry import Event
 from scuhand_bt.journal.events import Asked, JobStarted
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
-from scuhand_bt.journal.run_events import RunBegun
+from scuhand_bt.journal.results import SampleResult, SoFar
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
 from scuhand_bt.journal.writer import Journal
+from scuhand_bt.report.watching import shown_of
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.questions import MEANINGS
 from scuhand_bt.run.simulation import DryRun
-from tests.test_journal import HEADER
+from tests.test_journal import HEADER, RESULT
 from tests.test_resume import Watch
 
 TWO = """
@@ -145,6 +148,77 @@ def test_what_is_left_of_a_run_is_its_plan_stretched_as_the_run_was_until_then(f
     assert then["pace"] == {"planned_s": planned["a"], "at_s": judged["time_s"], "stretch": pytest.approx(stretch)}
     assert then["left_s"] == pytest.approx(stretch * planned["b"] - then["time_s"])
     assert Page(Follower(finished.journal)).news(is_held=False)["left_s"] is None
+
+
+NAMES = ("a", "b", "c", "d")
+PLANNED = [
+    {"id": name, "workflow": "w", "inputs": {}, "done_s": 100.0 * number} for number, name in enumerate(NAMES, start=1)
+]
+
+
+def told_at(written: Journal, at_s: float, event: Event) -> None:
+    written.now_s = lambda: at_s
+    written.event(event)
+    written.flush()
+
+
+def judged(name: str, verdict: str = "in tolerance", attempt: int = 1) -> SampleResult:
+    return SampleResult.model_validate({**RESULT, "id": name, "verdict": verdict, "attempt": attempt})
+
+
+@pytest.fixture
+def planned(tmp_path: Path) -> Any:
+    """A journal that is being written, of a run of four samples of 100 s each."""
+    written = Journal(tmp_path / "planned.sqlite", durable=False)
+    told_at(written, 0.0, RunBegun.model_validate({**HEADER, "samples": PLANNED}))
+    yield written
+    written.close()
+
+
+def test_how_long_a_person_lets_a_run_stand_still_does_not_make_the_rest_of_it_longer(planned: Journal) -> None:
+    page = Page(Follower(planned.path))
+    told_at(planned, 10.0, Paused())
+    told_at(planned, 5010.0, Continued())
+    assert page.news(is_held=True)["left_s"] == 390.0, "nothing is known yet but the plan"
+    told_at(planned, 5150.0, judged("a"))
+    assert page.news(is_held=True)["left_s"] == 450.0, "the first took 150 s without the pause"
+    told_at(planned, 5160.0, Paused())
+    assert page.news(is_held=True)["left_s"] == 440.0
+    told_at(planned, 9160.0, Continued())
+    told_at(planned, 9160.0, JobStarted(name="b", sample="b", attempt=1, workflow="w"))
+    assert page.news(is_held=True)["left_s"] == 440.0, "and nothing of the rest went by meanwhile"
+
+
+def test_what_a_run_did_not_come_to_is_to_come_again_once_it_is_resumed(planned: Journal) -> None:
+    page = Page(Follower(planned.path))
+    told_at(planned, 120.0, judged("a"))
+    for name, verdict in (("b", "interrupted"), ("c", "not run"), ("d", "not run")):
+        told_at(planned, 150.0, judged(name, verdict))
+    told_at(planned, 150.0, judged("a"))  # as its container was not seen to go
+    told_at(planned, 150.0, Ended(exit_code=130, reason="interrupted"))
+    assert {row["id"]: row["verdict"] for row in page.news(is_held=False)["rows"]}["d"] == "not run"
+    told_at(planned, 160.0, Resumed(last_at="", changes=[], version="0"))
+    resumed = page.news(is_held=True)
+    assert resumed["left_s"] == pytest.approx(1.2 * 300.0 - 40.0)
+    assert {row["id"]: row["verdict"] for row in resumed["rows"]} == {
+        "a": "in tolerance", "b": "to come", "c": "to come", "d": "to come",
+    }  # fmt: skip
+    assert len(shown_of(page.now, page.now.begun).results) == 1, "so many are done"
+
+
+def test_a_sample_that_stopped_the_run_and_goes_on_is_under_way(planned: Journal) -> None:
+    page = Page(Follower(planned.path))
+    planned.now_s = lambda: 0.0
+    job = planned.job_started(JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+    told_at(planned, 300.0, judged("a", "under"))
+    told_at(planned, 300.0, Ended(exit_code=3, reason="a: dose.not_reached"))
+    told_at(planned, 300.0, Resumed(last_at="", changes=[], version="0"))
+    planned.now_s = lambda: 310.0
+    planned.job_resumed(job, SoFar())
+    planned.flush()
+    assert page.news(is_held=True)["left_s"] == 90.0, "of it nothing is known but the plan"
+    told_at(planned, 320.0, judged("a"))
+    assert page.news(is_held=True)["left_s"] == pytest.approx(320.0 * 3)
 
 
 def test_a_motion_is_told_as_it_begins_with_where_it_leads(finished: Any) -> None:

@@ -356,6 +356,26 @@ def test_a_database_that_is_not_there_is_said_with_where_and_what_to_read(comman
         assert all(part in err for part in ("user=me", "dbname=q", "host=127.0.0.1", "port=1"))
 
 
+@pytest.mark.parametrize(
+    ("database", "what"),
+    [
+        ("host=db pasword=sesame", "no connection string of libpq's"),
+        ("sesame", "no connection string of libpq's"),
+        ("postgresql://me:sesame@[::1/q", "no connection string of libpq's"),
+        ("postgresql://me:ses/ame@db/q", "write '/' as %2F there"),  # libpq reads a port "ses"
+        ("postgresql://me:x@sesame@db/q", "'@' as %40"),  # and here a host "sesame@db"
+        ("postgresql://127.0.0.1:1/q?sslpassword=sesame", "Connection refused"),
+    ],
+)
+def test_a_database_that_is_named_wrongly_is_said_without_any_part_of_its_password(
+    database: str, what: str, command: Call
+) -> None:
+    code, _, err = command("queue", "--database", database)
+    assert code == 2
+    assert what in err
+    assert not any(part in err for part in ("sesame", "ses/", "ame@"))
+
+
 # --- stations, with runs in programs of their own
 
 
@@ -493,7 +513,7 @@ def test_a_job_that_is_cancelled_while_it_is_run_stops_after_its_sample(database
     assert [one["complete"] for one in ended] == [False]
 
 
-def test_a_lab_has_one_station_and_a_name_one_lab(database: str, tmp_path: Path) -> None:
+def test_a_lab_has_one_station_and_a_name_one_lab(database: str, tmp_path: Path, command: Call) -> None:
     labs = [make_lab(tmp_path / name) for name in ("one", "two")]
     said: list[str] = []
 
@@ -512,10 +532,18 @@ def test_a_lab_has_one_station_and_a_name_one_lab(database: str, tmp_path: Path)
             other = Station(queue, labs[1], "starter", Manner(simulated=True), said.append, look_s=0.1)
             with pytest.raises(SourceError, match="is another lab's"):
                 await other.work()
+            (here,) = await queue.stations()
+            assert here.is_there
             station.leave()
             await waiting
+            (gone,) = await queue.stations()
+            assert (gone.state, gone.is_there) == ("has ended", False), "it was there for a minute more"
 
     run(check())
+    out = command("fleet", "--database", database).stdout
+    assert "has ended" in out
+    assert "was:" not in out
+    assert " now " not in out
 
 
 def test_a_station_that_has_jobs_takes_none_under_another_name(database: str, tmp_path: Path, offer: Offer) -> None:

@@ -24,7 +24,7 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.sim.powder import OurPowderFlow
-from scuhand_bt.study.change import changed, files_hash, with_value
+from scuhand_bt.study.change import changed, files_hash, plant_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import diff, optimised
 from scuhand_bt.study.pool import all_trials, executor_of
@@ -142,6 +142,23 @@ def test_physics_of_ones_own_that_were_changed_are_tried_anew(
             tried.append(not list(store.found([(here, 0)])))
             store.keep(here, fake(0, 60.0, "abc"))
     assert tried == [True, False, True]
+
+
+def test_what_a_process_has_read_of_physics_before_their_file_was_changed_is_not_tried_for_them(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a Dask worker has, which goes on from study to study."""
+    monkeypatch.syspath_prepend(tmp_path)
+    own, name = tmp_path / "physics_of_today.py", "physics_of_today:Mine"
+    text = "from scuhand_bt.sim.plant import Plant\n\n\nclass Mine(Plant):\n    pass\n"
+    own.write_text(text, encoding="utf-8")
+    before = replace(setup, plant=name, physics=plant_hash(name))
+    came = trial(before, 0)
+    own.write_text(f"{text}    # another one\n", encoding="utf-8")
+    after = replace(before, physics=plant_hash(name))
+    with pytest.raises(SourceError, match="physics_of_today:Mine: its file has changed since; begin"):
+        trial(after, 0)
+    assert trial(before, 0) == came, "what began with them goes on"
 
 
 def test_a_file_that_is_no_store_is_refused(setup: Setup, tmp_path: Path) -> None:

@@ -6,18 +6,20 @@ import shlex
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from conftest import REPOSITORY, Call
 from py_trees.behaviour import Behaviour
 from rich.console import Console
-from running import Ran, dry_run, make_lab
+from running import HEAD, Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
 from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted
@@ -25,12 +27,21 @@ from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.run_events import Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.report import picture
 from scuhand_bt.report.doses import doses_table
-from scuhand_bt.report.live import PlainLines, nodes_of
+from scuhand_bt.report.live import LiveView, PlainLines, nodes_of
 from scuhand_bt.report.picture import Node, Picture, Shown
 from scuhand_bt.report.watching import shown_of, tree_of
+from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.control import Control
+from scuhand_bt.run.observers import BatchObserver, Observers
+from scuhand_bt.run.options import Options
 from scuhand_bt.run.questions import MEANINGS
+from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
 from tests.test_journal import HEADER
 
 SIZES = [(80, 24), (120, 40), (200, 50)]
@@ -102,6 +113,54 @@ def test_a_run_that_is_paused_says_so_and_the_newest_dose_comes_first(ran: Ran, 
     assert "Paused: Ctrl-Z continues" in lines[-1]
     rows = [word for line in lines for word in line.split() if word.startswith("s") and word[1:].isdigit()]
     assert rows[:3] == ["s29", "s28", "s27"]
+
+
+def test_time_left_is_the_plan_stretched_by_what_is_done_and_a_pause_does_not_count(ran: Ran) -> None:
+    session, clock = ran.session, VirtualClock()
+    cell = SimpleNamespace(
+        **{name: getattr(session.cell, name) for name in ("balance", "believed", "hand")}, clock=clock
+    )
+    view = LiveView(Console(file=io.StringIO()), cell, session.plan, Control(), "SIMULATED")  # type: ignore[arg-type]
+    plan_s, first_s = session.plan.duration_s, session.plan.done_s["a"]
+    clock.now_s = 5.0
+    assert view.shown().left_s == pytest.approx(plan_s - 5.0), "nothing is known yet but the plan"
+    view.paused()
+    clock.now_s = 3605.0
+    assert view.shown().left_s == pytest.approx(plan_s - 5.0), "none of it goes by meanwhile"
+    view.continued()
+    clock.now_s = 3600.0 + 2.0 * first_s
+    view.sample_ended(ran.sample("a"))
+    assert view.shown().left_s == pytest.approx(2.0 * (plan_s - first_s)), "it took twice as long as planned"
+    clock.now_s += 20.0
+    view.sample_ended(ran.sample("a"))  # as its container has gone
+    view.sample_ended(ran.sample("b").model_copy(update={"verdict": "not run"}))
+    assert view.shown().left_s == pytest.approx(2.0 * (plan_s - first_s) - 20.0)
+
+
+def test_a_run_tells_who_watches_that_it_stands_still(tmp_path: Path) -> None:
+    said: list[str] = []
+    has_wished: list[bool] = []
+
+    class Pausing(BatchObserver):
+        def ticked(self, root: Behaviour) -> None:
+            if session.cell.clock.now_s > 20.0 and not has_wished:
+                has_wished.append(True)
+                session.control.wish("pause_now")
+                threading.Timer(0.5, session.control.wish, ["continue"]).start()
+
+        def paused(self) -> None:
+            said.append("paused")
+
+        def continued(self) -> None:
+            said.append("continued")
+
+    lab = load_lab(starter_lab())
+    (tmp_path / "r.yaml").write_text(BATCH + HEAD, encoding="utf-8")
+    plan = make_plan(load_recipe(tmp_path / "r.yaml", lab), lab)
+    session = Session(plan, lab, Options(DryRun(1), None, tmp_path / "runs"))
+    session.run(Observers(Pausing()))
+    session.close()
+    assert said == ["paused", "continued"]
 
 
 def test_without_colours_a_states_sign_tells_it(ran: Ran) -> None:

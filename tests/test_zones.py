@@ -137,6 +137,19 @@ def test_a_move_into_a_zone_that_stays_taken_is_given_up(bench: Bench, monkeypat
     assert len(looked_at) < 10, "where it cannot stand is found out once, not with each look at the zone"
 
 
+def test_what_would_not_go_with_the_zone_free_either_is_not_told_as_the_zones_fault(bench: Bench) -> None:
+    bench.have_the_pan()
+
+    def plan() -> None:
+        raise SkillFailed(Code.ARM_UNREACHABLE, "too far")
+
+    with pytest.raises(SkillFailed, match=r"arm.unreachable: too far"):
+        bench.do(bench.cell.planned(plan))
+    assert bench.clock.now_s == pytest.approx(ZONE_TIMEOUT_S, abs=0.2), "it might have gone, as far as anybody knew"
+    assert bench.way.closed == {"pan"}
+    assert not bench.way.is_crossed("pan", CHANGER), "nothing was planned through it"
+
+
 def test_a_motion_planned_before_keeps_the_zone_until_the_arm_is_out_of_it(bench: Bench) -> None:
     bench.do(bench.cell.move_to(bench.over))
     assert bench.way.is_crossed("pan", CHANGER), "it stands in there"
@@ -274,6 +287,21 @@ def test_a_scoop_from_a_mortar_in_a_zone_that_another_has_waits_until_it_is_free
     bench.do(scooping, bench.later(20.0, lambda: bench.way.leave(CHANGER, ["changer"])))
     assert min(now_s for now_s, _, is_in in bench.seen if is_in) > 20.0
     assert bench.world.masses_mg["cone"] > 1000.0
+
+
+def test_a_motion_in_contact_into_a_zone_that_another_has_waits_until_it_is_free(bench: Bench) -> None:
+    """It failed at once, with `arm.no_path`."""
+    bench.do(bench.cell.move_to(bench.over))
+    over = bench.cell.apex()
+    bench.do(bench.cell.touch([ApexPose(over.position_m + np.array([0.0, 0.0, 0.12]), over.axis)], 100.0, None))
+    assert not bench.seen[-1][2]
+    bench.have_the_pan()
+    bench.seen.clear()
+    begins_s = bench.clock.now_s
+    down = bench.cell.touch([over], 100.0, None)
+    bench.do(down, bench.later(20.0, lambda: bench.way.leave(CHANGER, ["changer"])))
+    assert min(now_s for now_s, moves, _ in bench.seen if moves) == pytest.approx(begins_s + 20.0, abs=0.3)
+    assert bench.seen[-1][2], "and then it went there"
 
 
 def test_a_stroke_keeps_the_zone_that_it_was_planned_through_while_the_arm_comes_to_where_it_begins(

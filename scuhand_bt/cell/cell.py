@@ -174,8 +174,12 @@ class Cell:
             yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str | None) -> Steps[None]:
-        """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else."""
-        yield from self._follow(self.contact(waypoints, speed_mm_per_s, station))
+        """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else.
+
+        What crosses zones that others have waits for these. SkillFailed arm.no_path, arm.unreachable, arm.zone_taken.
+        """
+        motion = yield from self._planned(lambda _: self.contact(waypoints, speed_mm_per_s, station), only_zones=True)
+        yield from self._follow(motion)
 
     def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str | None) -> Trajectory:
         """The trajectory of `touch`, to be started beside another motion."""
@@ -217,7 +221,8 @@ class Cell:
         if forming is None:
             yield from self.right_of_way.go()
             yield from self.hand.morph(open_mm)
-            yield from self._follow(self._planner().move(self.arm.positions, begin))
+            there = yield from self._planned(lambda planner: planner.move(self.arm.positions, begin), only_zones=True)
+            yield from self._follow(there)
         else:
             yield from self._together(forming)
 
@@ -273,10 +278,11 @@ class Cell:
             self.motion.set_occupied(self.in_the_way.points_m)
         return self.motion
 
-    def _planned(self, plan: "Callable[[MotionPlanner], T]") -> "Steps[T]":
+    def _planned(self, plan: "Callable[[MotionPlanner], T]", *, only_zones: bool = False) -> "Steps[T]":
         """A motion around the zones that others have, and what is seen; where there is none, once they are free.
 
-        Where the arm stands in something, it first goes out of that.
+        Where the arm stands in something, it first goes out of that. With `only_zones` that is a failure, and what is
+        seen is not waited for either.
         """
         began_s, is_freed, is_obstructed = self.clock.now_s, False, False
         deadline_s = began_s + ZONE_TIMEOUT_S
@@ -286,6 +292,8 @@ class Cell:
                 found = plan(self._planner())
             except SkillFailed as failure:
                 if not (closed := self.right_of_way.closed):
+                    if only_zones:
+                        raise
                     if self.spec.watchers and self.in_the_way.points_m is not None:
                         is_obstructed = True
                         yield from self.in_the_way.gone(began_s, failure)
@@ -300,8 +308,17 @@ class Cell:
                     self.in_the_way.waited(began_s)
                 return found
             if self.clock.now_s >= deadline_s:
-                raise taken(closed, ZONE_TIMEOUT_S)
+                raise self._fails_all_the_same(plan) or taken(closed, ZONE_TIMEOUT_S)
             yield freed
+
+    def _fails_all_the_same(self, plan: "Callable[[MotionPlanner], T]") -> SkillFailed | None:
+        """Why there is no such motion, where none is if every zone is free: what has a zone is not to blame then."""
+        with self.right_of_way.as_if_open():
+            try:
+                plan(self._planner())
+            except SkillFailed as failure:
+                return failure
+        return None
 
     def _freed(self) -> Steps[None]:
         """Slowly out of what the arm touches, which is written down; SkillFailed arm.start_in_collision."""

@@ -170,9 +170,8 @@ def fleet(
     for one in found:
         heard = "now" if one.is_there else f"{format_duration(one.silent_s)} ago"
         ahead = format_duration(one.ahead_s) if one.jobs else ""
-        table.add_row(
-            one.name, _cell_of(one), heard, str(one.jobs), ahead, one.state if one.is_there else f"was: {one.state}"
-        )
+        state = one.state if one.is_there or one.has_ended else f"was: {one.state}"
+        table.add_row(one.name, _cell_of(one), heard, str(one.jobs), ahead, state)
     out.print(table if found else "There are no stations.")
 
 

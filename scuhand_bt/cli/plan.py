@@ -105,8 +105,8 @@ def plan(
 def _night(text: str, trials: int) -> "Night":
     from scuhand_bt.study import read_night
 
-    if not trials:
-        raise typer.BadParameter("what a night holds is told by dry runs: at least one", param_hint="--trials")
+    if trials < 2:  # one does not tell how much they differ, and its times were taken for certain
+        raise typer.BadParameter("what a night holds is told by dry runs: at least two", param_hint="--trials")
     return read_night(text)
 
 

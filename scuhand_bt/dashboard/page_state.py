@@ -42,6 +42,7 @@ class Page:
 
     now: Follower
     _has_told: bool = False
+    _resumed: int = 0
     _job: JobStarted | None = None
     _points: int = 0
     _move_s: float | None = None
@@ -52,6 +53,8 @@ class Page:
         run = now.begun
         if run is None:
             return {"state": "about to begin"}
+        if now.resumed != self._resumed:  # what was not run is to come again
+            self._resumed, self._has_told, self._job = now.resumed, False, None
         state, reason, since = state_of(run, now.waiting, now.ended, is_paused=now.is_paused, is_held=is_held)
         told: dict[str, Any] = {
             "state": state,

@@ -8,7 +8,7 @@ database only.
 
 import logging
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
@@ -29,6 +29,8 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 TASK = "scuhand-bt run"
 ABSENT_S = 60.0
 """A station that has not been heard of for so long is not there."""
+ENDED = "has ended"
+"""What a station says last that ends by itself: it is not there from then on."""
 CONNECT_S = 5
 LAST = 2**63 - 1
 """The database counts no further."""
@@ -86,7 +88,12 @@ class KnownStation:
 
     @property
     def is_there(self) -> bool:
-        return self.silent_s <= ABSENT_S
+        return self.silent_s <= ABSENT_S and not self.has_ended
+
+    @property
+    def has_ended(self) -> bool:
+        """By itself, and has said so."""
+        return self.state == ENDED
 
 
 @dataclass(frozen=True)
@@ -258,6 +265,7 @@ async def open_queue(database: str) -> AsyncIterator[Queue]:
 
     Its tables are made if there are none. SourceError where it cannot be reached or used.
     """
+    _require_plain(database)
     where = Mark(f"the queue's database ({_shown(database) or 'by PGSERVICE, PGHOST …'})", 0)
     logging.getLogger("psycopg.pool").setLevel(logging.CRITICAL)  # what it says, the station says in words
     try:
@@ -281,12 +289,27 @@ async def open_queue(database: str) -> AsyncIterator[Queue]:
 
 
 def _shown(database: str) -> str:
-    """A connection string as it may be told: without a password. What is none is told as it is."""
-    with suppress(psycopg.Error):
-        said = conninfo_to_dict(database)
-        if said.pop("password", None) is not None:
-            return make_conninfo("", **said)
-    return database
+    """A connection string as it may be told: without a password."""
+    said = conninfo_to_dict(database)
+    secret = [said.pop(name, None) for name in ("password", "sslpassword")]
+    return make_conninfo("", **said) if any(secret) else database
+
+
+def _require_plain(database: str) -> None:
+    """SourceError for what libpq does not read as it was meant; it would tell a part of the password as the host."""
+    where = Mark("--database", 0)
+    try:
+        conninfo_to_dict(database)
+    except psycopg.Error:  # whose message has the part that is wrong
+        what = (
+            "this is no connection string of libpq's: such as postgresql://USER@HOST/NAME, or 'host=HOST dbname=NAME'"
+        )
+        raise SourceError([Problem(where, f"{what}, with the password in ~/.pgpass")]) from None
+    scheme, _, address = database.partition("://")
+    person, _, _ = address.rpartition("@")
+    if scheme in ("postgresql", "postgres") and any(sign in person for sign in "/@"):
+        what = "before the last '@' of an address stand a user and a password: write '/' as %2F there, and '@' as %40"
+        raise SourceError([Problem(where, what)])
 
 
 async def _planning_anew(connection: "psycopg.AsyncConnection[Any]") -> None:

@@ -22,7 +22,7 @@ from procrastinate.jobs import Status
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.fleet.needs import offer_of
 from scuhand_bt.fleet.order import Order, write
-from scuhand_bt.fleet.queue import Queue, Taken
+from scuhand_bt.fleet.queue import ENDED, Queue, Taken
 from scuhand_bt.journal.history import History, read_history
 from scuhand_bt.journal.presence import Held, Presence, is_held
 from scuhand_bt.journal.reader import open_journal
@@ -95,6 +95,8 @@ class Station:
                     self._tell(f"the queue's database is not reached ({error.__cause__}); trying again")
                     goes_on = False
                 if self._is_leaving.is_set() and not self._has_child:
+                    with suppress(ConnectorException):
+                        await self._queue.tell(self.name, ENDED)
                     return
                 if not goes_on:
                     await self._wait()

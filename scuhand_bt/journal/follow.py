@@ -97,8 +97,12 @@ class Follower:
     """What the workflows' trees look like, by the workflows' names."""
     samples: dict[str, SampleResult] = field(default_factory=dict)
     """What was said of each last, the newest last."""
-    judged_s: float = 0.0
-    """Run time of the newest."""
+    told_s: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Run time at which the attempt that `samples` has was first judged, and `stood_s` then."""
+    stood_s: float = 0.0
+    """How much of the run's time until now it has stood still, as a person wished."""
+    resumed: int = 0
+    """How often it was."""
     job: JobStarted | None = None
     job_ended: JobEnded | None = None
     """None while the job goes on."""
@@ -124,6 +128,7 @@ class Follower:
     """Run time of the last entry."""
     at: str = ""
     """Wall time of it; ISO 8601."""
+    _paused_at_s: float = 0.0
     _seq: int = 0
     _state_seq: int = 0
 
@@ -148,7 +153,6 @@ class Follower:
                 self._weigh(frames)
             elif isinstance(event, SampleResult):
                 results.append(event)
-                self.judged_s = time_s
         if (row := database.execute(_STATE, (self._state_seq, self.until_s)).fetchone()) is not None:
             self._state_seq, self.state_s, self.state = row[0], row[1], json.loads(row[2])
         if self._seq > before:
@@ -192,6 +196,7 @@ class Follower:
                 self.actions, self.decided, self.course = {}, {}, []
             case JobResumed():
                 self.job_ended = None
+                self.samples.pop((self.job and self.job.sample) or "", None)  # one that had stopped the run
             case JobEnded():
                 self.job_ended = event
             case ActionStarted():
@@ -204,12 +209,27 @@ class Follower:
             case DoseCurve():
                 self.course += event.points
             case SampleResult():
-                self.samples.pop(event.id, None)
+                before = self.samples.pop(event.id, None)
                 self.samples[event.id] = event
+                # It is told again as its container has gone, and as the run ends: by then it had long been done.
+                if before is None or before.attempt != event.attempt:
+                    self.told_s[event.id] = self.time_s, self.stood_s
             case Weighing() | ContainerPlaced() | BracketClosed():
                 self._weigh_by(event)
-            case Paused() | Continued():
-                self.is_paused = isinstance(event, Paused)
-            case Ended() | Resumed():
-                self.ended = event if isinstance(event, Ended) else None
-                self.is_paused = False
+            case Paused():
+                self.is_paused, self._paused_at_s = True, self.time_s
+            case Continued():
+                self._goes_on()
+            case Ended():
+                self.ended = event
+                self._goes_on()
+            case Resumed():
+                self.ended = None
+                self._goes_on()
+                self.resumed += 1
+                self.samples = {name: one for name, one in self.samples.items() if one.was_tried}
+
+    def _goes_on(self) -> None:
+        if self.is_paused:
+            self.stood_s += self.time_s - self._paused_at_s
+        self.is_paused = False

@@ -133,7 +133,7 @@ def history_of(database: sqlite3.Connection) -> History:
                 history.begun = event
             case JobStarted():
                 jobs[seq] = history.jobs[event.name, event.attempt] = JobHistory(seq, time_s)
-            case SampleResult() if event.verdict not in ("interrupted", "not run"):
+            case SampleResult() if event.was_tried:
                 history.samples[event.id, event.attempt] = event
             case Chosen():
                 history.answers[event.sample, event.attempt] = event.action

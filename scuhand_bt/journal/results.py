@@ -110,6 +110,11 @@ class SampleResult(Event):
         return is_well and any(dose.bracket == "open" for dose in self.doses)
 
     @property
+    def was_tried(self) -> bool:
+        """It has come to an end; a resumed run has all others before it."""
+        return self.verdict not in ("interrupted", "not run")
+
+    @property
     def overshot_mg(self) -> float | None:
         """By how much the worst of its doses is beyond its target, if that is beyond its tolerance too."""
         return max((dose.error_mg for dose in self.doses if dose.error_mg > dose.tolerance_mg), default=None)

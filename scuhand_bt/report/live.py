@@ -15,6 +15,7 @@ from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.report.live_terminal import LiveTerminal
 from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_grams, in_words
+from scuhand_bt.report.watching import pace
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.outcome import BatchResult
@@ -78,6 +79,10 @@ class LiveView(BatchObserver):
         self._plan = plan
         self._mode = mode
         self._results: dict[str, SampleResult] = {}
+        self._told_s: dict[str, tuple[float, float]] = {}
+        """Run time at which each was judged first, and how much of that the run had stood still."""
+        self._stood_s = 0.0
+        self._paused_at_s: float | None = None
         self._job: tuple[Job, int] | None = None
         self._root: Behaviour | None = None
         self._live = Live(
@@ -103,8 +108,18 @@ class LiveView(BatchObserver):
         self._job = job, attempt
 
     def sample_ended(self, result: SampleResult) -> None:
-        self._results.pop(result.id, None)  # the newest last
+        before = self._results.pop(result.id, None)  # the newest last
         self._results[result.id] = result
+        if result.was_tried and (before is None or before.attempt != result.attempt):
+            self._told_s[result.id] = self._cell.clock.now_s, self._stood_s
+
+    def paused(self) -> None:
+        self._paused_at_s = self._cell.clock.now_s
+
+    def continued(self) -> None:
+        if self._paused_at_s is not None:
+            self._stood_s += self._cell.clock.now_s - self._paused_at_s
+        self._paused_at_s = None
 
     def shown(self) -> Shown:
         """What there is to see now."""
@@ -117,7 +132,7 @@ class LiveView(BatchObserver):
             total=len(self._plan.recipe.samples),
             results=results,
             run_time_s=self._cell.clock.now_s,
-            left_s=self._time_left_s(len(results)),
+            left_s=self._time_left_s(),
             job=_about(*self._job) if self._job is not None else "",
             tree=list(nodes_of(self._root)) if self._root is not None else [],
             readings=self._readings(),
@@ -143,11 +158,11 @@ class LiveView(BatchObserver):
             return "Stopping now" if control.halts else "Stopping after this sample; Ctrl-C stops now"
         return "Paused: no further action begins; Ctrl-Z continues" if control.is_pausing else ""
 
-    def _time_left_s(self, done: int) -> float | None:
-        """The mean time of the samples until now, for those left; the plan's forecast before the first."""
-        if not done:
-            return self._plan.duration_s
-        return self._cell.clock.now_s / done * (len(self._plan.recipe.samples) - done)
+    def _time_left_s(self) -> float:
+        """Of the whole plan; while the run stands still none of it goes by."""
+        now_s = self._cell.clock.now_s if self._paused_at_s is None else self._paused_at_s
+        keeps = pace(self._plan.done_s, dict(self._told_s), self._stood_s)  # a copy, as the run goes on meanwhile
+        return max(0.0, keeps.ends_s(self._plan.duration_s) - now_s)
 
 
 def nodes_of(root: Behaviour, depth: int = 0, passed: str = "to come") -> Iterator[Node]:

@@ -51,10 +51,24 @@ class Pace:
         return self.at_s + self.stretch * (done_s - self.planned_s)
 
 
+def pace(planned_s: Mapping[str, float], told_s: Mapping[str, tuple[float, float]], stood_s: float) -> Pace:
+    """By the samples that are done, of which `told_s` says when, and how long the run had stood still by then.
+
+    The plan's own until one is. How long a person has let a run stand still tells nothing of what is to come.
+    """
+    last = max((name for name in told_s if name in planned_s), key=planned_s.__getitem__, default=None)
+    if last is None or not planned_s[last]:
+        return Pace(0.0, stood_s, 1.0)
+    at_s, stood_before_s = told_s[last]
+    stretch = (at_s - stood_before_s) / planned_s[last]
+    return Pace(planned_s[last], at_s + stood_s - stood_before_s, stretch)
+
+
 def pace_of(now: Follower, run: RunBegun) -> Pace:
-    """By the samples that are done; the plan's own until one is."""
-    planned_s = max((one.done_s or 0.0 for one in run.samples or () if one.id in now.samples), default=0.0)
-    return Pace(planned_s, now.judged_s, now.judged_s / planned_s) if planned_s else Pace(0.0, 0.0, 1.0)
+    """That of a run that is followed."""
+    planned_s = {one.id: one.done_s or 0.0 for one in run.samples or ()}
+    done = {name: now.told_s[name] for name, one in now.samples.items() if one.was_tried}
+    return pace(planned_s, done, now.stood_s)
 
 
 def time_left_s(now: Follower, run: RunBegun) -> float | None:

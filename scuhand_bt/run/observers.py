@@ -29,6 +29,12 @@ class BatchObserver:
         """A sample has had its result since before the run was resumed: as if it came now, unless told otherwise."""
         self.sample_ended(result)
 
+    def paused(self) -> None:
+        """The run stands still, as a person wished it."""
+
+    def continued(self) -> None:
+        """A person let it go on."""
+
 
 class Observers(BatchObserver):
     """Several, each told in its turn."""
@@ -59,3 +65,11 @@ class Observers(BatchObserver):
     def sample_known(self, result: SampleResult) -> None:
         for one in self._each:
             one.sample_known(result)
+
+    def paused(self) -> None:
+        for one in self._each:
+            one.paused()
+
+    def continued(self) -> None:
+        for one in self._each:
+            one.continued()

@@ -45,11 +45,15 @@ T = TypeVar("T")
 
 
 class TickObserver(Protocol):
-    """Is shown each job's tree, and its root after every tick; must be quick."""
+    """Is shown each job's tree, and its root after every tick, and told of pauses; must be quick."""
 
     def tree_made(self, tree: Tree) -> None: ...
 
     def ticked(self, root: Behaviour) -> None: ...
+
+    def paused(self) -> None: ...
+
+    def continued(self) -> None: ...
 
 
 class Runner:
@@ -141,6 +145,7 @@ class Runner:
         """Stand still until a person continues or stops the run; what a guard found meanwhile, if one tripped."""
         by = self._control.paused_by
         self._journal.event(Paused(by=by.name, signed=by.signed))
+        self._observer.paused()
         while True:
             wish = self._wish()
             if not self._control.is_pausing or self._control.is_stopping:
@@ -150,6 +155,7 @@ class Runner:
                 return fault
         by = self._control.continued_by
         self._journal.event(Continued(by=by.name, signed=by.signed))
+        self._observer.continued()
         return None
 
     def settle(self) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from scuhand_bt.fronts import front
 
 if TYPE_CHECKING:
-    from scuhand_bt.study.change import files_hash
+    from scuhand_bt.study.change import files_hash, plant_hash
     from scuhand_bt.study.night import Night, fates, in_words, read_night
     from scuhand_bt.study.odds import Odds, Range, odds_of
     from scuhand_bt.study.optimise import diff, optimised
@@ -19,7 +19,7 @@ else:
     __getattr__, __dir__ = front(
         __name__,
         {
-            "study.change": "files_hash",
+            "study.change": "files_hash plant_hash",
             "study.night": "Night fates in_words read_night",
             "study.odds": "Odds Range odds_of",
             "study.optimise": "diff optimised",
@@ -53,6 +53,7 @@ __all__ = [
     "odds_of",
     "open_store",
     "optimised",
+    "plant_hash",
     "read_night",
     "read_vary",
     "stays_in_words",

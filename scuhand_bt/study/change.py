@@ -11,8 +11,9 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -37,6 +38,15 @@ def files_hash(recipe: Path, lab: Path) -> str:
     tables = {str(table.text): recipe.parent / str(table.text) for table in tables_named(text, str(recipe))}
     found = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in tables.items() if path.is_file()}
     return hashlib.sha256(json.dumps([text, found, lab_files(lab)], sort_keys=True).encode()).hexdigest()
+
+
+def plant_hash(plant: str | None) -> str:
+    """SHA-256 of the file that a plant (`module:Class`) stands in; empty for none, and where it is not found."""
+    with suppress(ImportError, ValueError, AttributeError, OSError):
+        spec = find_spec(plant.partition(":")[0]) if plant is not None else None
+        if spec is not None and spec.origin is not None:
+            return hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
+    return ""
 
 
 @contextmanager

@@ -6,7 +6,7 @@ kept: the lab, the plan, its motions.
 
 import tempfile
 from collections import Counter, defaultdict
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 from scuhand_bt.events.cell import Discarded, Kept, Refilled, Returned, Scooped
@@ -23,7 +23,7 @@ from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.plant import PlantError
-from scuhand_bt.study.change import changed, files_hash
+from scuhand_bt.study.change import changed, files_hash, plant_hash
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, into
 
@@ -41,6 +41,9 @@ def dry_run(setup: Setup, seed: int) -> Trial:
 def _dry_run(setup: Setup, seed: int) -> Trial:
     plan, lab, motion = _made(setup)
     plant = SOME_CELL if setup.plant is None else setup.plant
+    if setup.physics and _read_as(plant) not in ("", setup.physics):
+        problem = f"{plant}: its file has changed since; begin these dry runs again, and a cluster's workers before"
+        raise SourceError([Problem(Mark("--plant", 0), problem)])
     SomeCell.seed = seed
     with tempfile.TemporaryDirectory(prefix="scuhand-trial-") as folder:
         runs = Path(folder) / "runs"
@@ -118,6 +121,12 @@ class _Told(BatchObserver):
                 self.refilled_mg[event.source] += event.mass_mg
             case Kept() | Returned() | Discarded():
                 self.left.append(event)
+
+
+@cache
+def _read_as(plant: str) -> str:
+    """The hash of a plant's file as this process has it: a module is read once, whatever becomes of its file."""
+    return plant_hash(plant)
 
 
 @lru_cache(maxsize=2)

@@ -4,14 +4,13 @@ import hashlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import scuhand_bt
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.study.change import files_hash
+from scuhand_bt.study.change import files_hash, plant_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
@@ -23,7 +22,8 @@ class Store:
     def __init__(self, database: sqlite3.Connection, setup: Setup) -> None:
         self._database = database
         files = setup.files or files_hash(setup.recipe, setup.lab)
-        self._files = json.dumps([files, scuhand_bt.__version__, *_physics(setup.plant)])
+        physics = setup.physics or plant_hash(setup.plant)
+        self._files = json.dumps([files, scuhand_bt.__version__, *([physics] if physics else [])])
 
     def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
         """Those of the tasks that were tried before, with the very files and program of today."""
@@ -45,14 +45,6 @@ class Store:
     def _key(self, setup: Setup) -> str:
         tried = json.dumps([self._files, setup.controller, setup.plant, setup.changes])
         return hashlib.sha256(tried.encode()).hexdigest()
-
-
-def _physics(plant: str | None) -> Iterator[str]:
-    """The hash of the file that physics of one's own (`module:Class`) stand in, where it can be found."""
-    with suppress(ImportError, ValueError, AttributeError, OSError):
-        spec = find_spec(plant.partition(":")[0]) if plant is not None else None
-        if spec is not None and spec.origin is not None:
-            yield hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
 
 
 @contextmanager

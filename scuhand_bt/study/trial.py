@@ -32,6 +32,8 @@ class Setup:
     changes: Changes = ()
     files: str = ""
     """What recipe and lab are to be (`files_hash`), wherever and whenever they are read; empty: whatever they are."""
+    physics: str = ""
+    """What the file of `plant` is to be (`plant_hash`), likewise."""
 
 
 @dataclass(frozen=True)
