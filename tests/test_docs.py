@@ -190,6 +190,24 @@ def test_every_constant_of_the_law_is_in_its_table(module: str) -> None:
     assert {name for name in constants if f"`{name}`" not in table} == set()
 
 
+ARITHMETIC = {0.0, 0.5, 1.0, 2.0, 12.0}
+"""Of which 12 is a rounding's: its variance is a twelfth of the digit squared."""
+ROUNDING = 1e-3
+
+
+@pytest.mark.parametrize("module", LAW)
+def test_no_figure_of_the_law_is_without_a_name(module: str) -> None:
+    tree = ast.parse((REPOSITORY / "scuhand_bt" / "dosing" / f"{module}.py").read_text(encoding="utf-8"))
+    bodies = [node for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)]
+    figures = [
+        (node.lineno, node.value)
+        for body in bodies
+        for node in ast.walk(body)
+        if isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value > ROUNDING
+    ]
+    assert [(line, value) for line, value in figures if value not in ARITHMETIC] == []
+
+
 def test_the_page_of_findings_is_of_today() -> None:
     assert (REPOSITORY / "docs" / "findings.md").read_text(encoding="utf-8") == page_of_findings(), (
         "run `python -m scuhand_bt.findings docs`"

@@ -32,16 +32,22 @@ from scuhand_bt.dosing.pulses import pulses
 
 MOST_OPENINGS = 200
 """Of a dose."""
+LOOKED, LOOKED_SD_MG, LEAST_SD_MG = 3, 0.3, 0.05
+"""After a look the mass is the mean of so many readings, give or take this; no stable mean is surer than the last."""
 LISTENED = 12
 """Readings that tell an unknown balance's noise."""
 PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
-CAME_SHARE, CAME_MG = 0.2, 20.0
-"""An opening that brought this share of what was expected, or of so much, was not in vain."""
+CAME_SHARE, CAME_MG, CAME_NOISES = 0.2, 20.0, 4.0
+"""An opening that brought this share of what was expected, or of so much, was not in vain; nor more than so many
+standard deviations of a reading."""
+COMES_MG, COMES = 1.0, 3.0
+"""Powder comes where there is so much more than before, and more by so many standard deviations."""
 SLOW_SHARE = 0.5
 """An opening that brought less than this share of what was missing was too narrow."""
-LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
-"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share."""
+LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, LAST_LUMPS = 0.7, 3.0, 0.12, 1.5
+"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share of
+one, or of what is missing where that is so many of them."""
 LUMPS_MISSED = 2.5
 """So many lumps should have been shaken out, and none has: so narrow an opening lets none through."""
 SPARED_MG = 20.0
@@ -123,15 +129,15 @@ class Adaptive:
             ended = yield from self._open()
             predicted_mg, sd_mg = known.predicted()
             yield from self._look(REST_MG)
-            if predicted_mg - known.begin_mg > 1.0:
+            if predicted_mg - known.begin_mg > COMES_MG:
                 known.judge_prediction(predicted_mg, sd_mg)
             self._take_in(ended)
             gave_out = self._gave_out()
             if gave_out is None and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):
-                known.begin(float(np.mean([row.reading_mg for row in known.rows[-3:]])), 0.3)
+                known.begin(float(np.mean([row.reading_mg for row in known.rows[-LOOKED:]])), LOOKED_SD_MG)
                 continue
             seen = yield from self._weigh()
-            known.begin(seen.net_mg, max(seen.uncertainty_mg, 0.05))
+            known.begin(seen.net_mg, max(seen.uncertainty_mg, LEAST_SD_MG))
             verdict = known.verdict(seen) or gave_out
             if verdict is not None:
                 return known.finish(verdict, seen)
@@ -142,7 +148,7 @@ class Adaptive:
         known = self._known
         gained_mg = known.bank.mass_mg - known.begin_mg
         expected_mg = known.reference * sum(row.phi_s for row in known.rows)
-        came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise.quiet_mg)
+        came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), CAME_NOISES * known.noise.quiet_mg)
         self._has_come |= came
         if came and self._vibration <= known.belief.vibration:
             self._flowed_mg = known.bank.mass_mg
@@ -232,7 +238,7 @@ class Adaptive:
                 return seen
             if self._vibration >= FULL:
                 self._barren_s += min(known.rows[-1].dt_s, hold_s)
-            if bank.mass_mg - barren_mg > max(1.0, 3.0 * bank.mass_sd_mg):
+            if bank.mass_mg - barren_mg > max(COMES_MG, COMES * bank.mass_sd_mg):
                 self._barren_s, barren_mg = 0.0, bank.mass_mg
             if self._is_dry():
                 return "dry"
@@ -247,7 +253,7 @@ class Adaptive:
         surge_mg, left_mg = known.bank.surge_mg, known.aim_mg - known.bank.mass_mg
         if surge_mg < LUMPY_MG or left_mg > LUMPS_LEFT * surge_mg + 1.0:
             return 0.0
-        return LUMP_SHARE * max(surge_mg, left_mg / 1.5)
+        return LUMP_SHARE * max(surge_mg, left_mg / LAST_LUMPS)
 
     def _shake(self, came: bool) -> None:
         """A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully.

@@ -30,6 +30,8 @@ RISK = 0.005
 """The greatest probability of too much, of every opening at every reading."""
 UNSEEN_ERROR = 0.2
 """No balance is just its model: what a flow's unseen part is off by, relative to it."""
+APART = 1.01
+"""The widest is wider than the narrowest by this factor at least."""
 CHOICES = 40
 """Openings that are compared, from the narrowest that lets powder through to the widest."""
 NARROWEST_MM = 0.05
@@ -85,7 +87,7 @@ def widest_mm(
     nothing is in the powder's way. `known_gap_mm` is the opening above the threshold that the flow was seen at: what
     the powder's exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
     """
-    widest = max(max_opening_mm - shape.threshold_mm, 1.01 * narrowest_mm)
+    widest = max(max_opening_mm - shape.threshold_mm, APART * narrowest_mm)
     choices = _choices(shape, narrowest_mm, widest, answered_s, speed_mm_per_s)
     mean_mg, variance = bank.coming(choices.way)
     flow, flow_variance = bank.flow(choices.flow)

@@ -50,12 +50,16 @@ CHANGE_S = (0.3, 3.0)
 """A steady flow tells nothing of the balance: means of phi over these times must differ."""
 FREELY = 0.5
 """Powder that flows with less than this share of what was expected may be held up: bridged, or not primed."""
+HELD_UP = 0.1
+"""Share of its reference that lumps may come by at any moment, however little flows."""
 LEAST_SPREAD = 0.5
 """Of k, relative to its reference: how unsure it can become while powder flows, at least."""
 EXPONENT_ERROR = 0.5
 """What a powder's exponent may be off by: k holds the less, the more the opening has changed."""
 SURGE_GAIN, LEAST_SURGE_MG, MOST_SURGE_MG = 0.03, 0.01, 12.0
 """How fast the lumps' mean mass follows the innovations while powder flows; and its bounds."""
+FLOWING_MG = 0.01
+"""Less than this between two readings says nothing of lumps."""
 AS_EXPECTED, SURPRISING = 0.9, 4.0
 """A squared innovation, in variances, that leaves it as it is; and from where on it counts no more."""
 FARTHEST = 5.0
@@ -208,7 +212,7 @@ class Bank:
         noise = row.noise_mg**2
         if late is not None:
             phi_s = late[0]
-            flow_mg = np.maximum(k, 0.1 * reference) * phi_s
+            flow_mg = np.maximum(k, HELD_UP * reference) * phi_s
             masses += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s
             bridged = np.maximum(reference - k, 0.0)
             walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
@@ -227,7 +231,7 @@ class Bank:
         self._p = p
         best = int(self.weights.argmax())
         score = float(innovation_mg[best]) / math.sqrt(variance[best])
-        if late is not None and k[best] * phi_s[best] > 0.01:
+        if late is not None and k[best] * phi_s[best] > FLOWING_MG:
             told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
             more = min(score * score, SURPRISING) - AS_EXPECTED
             if more > 0.0 or k[best] > FREELY * reference:  # nor does a bridge say that there are none

@@ -73,7 +73,7 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float | Arra
 
     In closed form: (y - M, y') decays by exp(A t), A = ((0, 1), (-w^2, -2 z w)), and M grows linearly.
     """
-    w = 2.0 * damping / np.maximum((1.0 - pure) * delays_s, 0.02)
+    w = 2.0 * damping / np.maximum((1.0 - pure) * delays_s, LEAST_DELAY_S)
     s = damping * w
     root = np.sqrt((s * s - w * w + 1e-9).astype(complex))
     slow, fast = np.exp((root - s) * dt_s), np.exp(-(root + s) * dt_s)

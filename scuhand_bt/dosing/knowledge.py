@@ -33,8 +33,10 @@ SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
 RISES, RISEN = 3, 3.0
 """Readings whose mean is above that of as many before, by so many standard deviations, still rise."""
-PEAK = 5
-"""Readings that a flow's peak is taken over."""
+PEAK, PEAK_NOISES, PEAK_LUMPS = 5, 4.0, 5.0
+"""Readings that a flow's peak is taken over; so many standard deviations of one, and lumps, are no part of it."""
+SURE = 1.5
+"""So many standard deviations below what is believed of it the flow surely is."""
 LEAST_MG, TELLING = 2.0, 20.0
 """Openings that neither brought this together nor should have, or so many times the noise, teach nothing yet."""
 STUCK_MM = 0.3
@@ -55,6 +57,8 @@ LEAST_HOLD_S, HOLDS = 0.1, 12
 """No opening is shorter; so many are compared where readings are rarer than that."""
 GENTLE, FULL = 0.4, 1.0
 """Levels of vibration."""
+NARROWER = 0.95
+"""Openings that are compared to begin with are each so much narrower than the one before."""
 WIDER, MOST_NARROWEST_MM = 1.4, 0.5
 """Where nothing comes from it, the narrowest opening grows by this factor, up to so far above the threshold."""
 ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
@@ -154,8 +158,8 @@ class Knowledge:
         """The flow's coefficient as the steepest rise shows it, whatever the balance: it shows no rise too steep."""
         if len(self.rows) <= PEAK:
             return 0.0
-        rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg - 4.0 * self.rows[-1].noise_mg
-        rise_mg -= LEAST_MG + 5.0 * self.bank.surge_mg
+        rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg - PEAK_NOISES * self.rows[-1].noise_mg
+        rise_mg -= LEAST_MG + PEAK_LUMPS * self.bank.surge_mg
         self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
         return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
 
@@ -200,7 +204,7 @@ class Knowledge:
     @property
     def aim_mg(self) -> float:
         """The target; less by a lump where powder comes in lumps: they can be waited for, but not taken back."""
-        least_mg = min(self.least_mg + 0.1, self.request.target_mg)
+        least_mg = min(self.least_mg + AIM_UNDER_MG, self.request.target_mg)
         under_mg = self.bank.surge_mg + AIM_UNDER_MG * math.sqrt(self.erratic)
         return max(self.request.target_mg - under_mg, least_mg)
 
@@ -266,7 +270,7 @@ class Knowledge:
         """
         opening_mm = self.request.max_opening_mm
         while opening_mm > self.least_mm and self._unseen_mg(opening_mm) > most_mg:
-            opening_mm = max(self.least_mm, 0.95 * opening_mm)
+            opening_mm = max(self.least_mm, NARROWER * opening_mm)
         return opening_mm
 
     @property
@@ -297,7 +301,7 @@ class Knowledge:
     def follow(self) -> None:
         """The reference goes after the flow: slowly, but at once where the flow is surely stronger."""
         bank = self.bank
-        sure = bank.coefficient - 1.5 * bank.coefficient_sd > self.reference
+        sure = bank.coefficient - SURE * bank.coefficient_sd > self.reference
         self.reference += (FOLLOWS_SURELY if sure else FOLLOWS) * (bank.coefficient - self.reference)
 
     def learn(self, gained_mg: float) -> None:

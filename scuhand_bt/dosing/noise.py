@@ -6,6 +6,8 @@ SHAKING_NOISE_MG = 0.3
 """Of a reading while the motor runs, until it was seen."""
 NOISE_GAIN, OUTLIER = 0.05, 12.0
 """How fast the noise is learnt; a second difference of more standard deviations is no noise."""
+SECOND = 6.0
+"""Times a reading's variance is that of a second difference: 1 + 4 + 1."""
 CHANGING = 5.0
 """Nor does a reading tell of it while more is on its way than so many standard deviations."""
 
@@ -32,6 +34,6 @@ class Noise:
         second_mg = recent[-1] - 2.0 * recent[-2] + recent[-3]
         del recent[0]
         if unseen_mg <= CHANGING * before_mg and abs(second_mg) <= OUTLIER * before_mg:
-            variance = (1.0 - NOISE_GAIN) * before_mg**2 + NOISE_GAIN * second_mg**2 / 6.0
+            variance = (1.0 - NOISE_GAIN) * before_mg**2 + NOISE_GAIN * second_mg**2 / SECOND
             self._mg[shaking] = max(self._least_mg, math.sqrt(variance))
         return self._mg[shaking]

@@ -13,12 +13,14 @@ import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.estimation import powers
-from scuhand_bt.dosing.knowledge import NEAR_MG, Knowledge
+from scuhand_bt.dosing.knowledge import NEAR_MG, RISEN, SURE, Knowledge
 
 EVIDENT_S = 0.3
 """What has come no later than this ago still comes."""
 CONFIRMS = 0.75
 """Of what should have come: less, until it should be seen, is a weak flow, or a balance that was set slower."""
+PAUSED_S = 0.5
+"""Powder that comes again after so long, and the delay, may have been let out all the while."""
 QUIET_S, MOST_QUIET_S = 0.8, 2.0
 """Nothing has come for so long, and for the balance's delay, or so much of it: nothing comes."""
 FLOWS = 0.2
@@ -88,7 +90,7 @@ class Opening:
         known, bank = self._known, self._known.bank
         tail, _ = known.valve.closing(known.request.balance_period_s + bank.delay_s)
         unseen_mg = bank.coefficient * tail  # what flows while it cannot be seen yet, and until the valve is shut
-        surely = bank.coefficient - 1.5 * bank.coefficient_sd
+        surely = bank.coefficient - SURE * bank.coefficient_sd
         return surely > ALARM * self._first_reference and 2.0 * unseen_mg > self._most_mg - bank.mass_mg
 
     def _enough(self) -> Seen | None:
@@ -108,7 +110,7 @@ class Opening:
     def _lacks(self, is_first: bool) -> Seen | None:
         """By what should have come and was not seen."""
         known, delay_s = self._known, self._known.bank.delay_s
-        has_risen = known.rows[-1].reading_mg - self._last[2] > 3.0 * known.rows[-1].noise_mg
+        has_risen = known.rows[-1].reading_mg - self._last[2] > RISEN * known.rows[-1].noise_mg
         self._confirm(has_risen)
         if is_first and self._came_s < math.inf and self._doubted_s > known.seen_s:
             return "weak"
@@ -138,7 +140,7 @@ class Opening:
         known, row, (last_s, last_mg, _) = self._known, self._known.rows[-1], self._last
         came_mg, expected_mg = known.bank.mass_mg - last_mg, known.reference * (self._passed_s - last_s)
         if has_risen and came_mg > FLOWS * expected_mg:
-            if self._quiet_s > known.bank.delay_s + 0.5:
+            if self._quiet_s > known.bank.delay_s + PAUSED_S:
                 self._missing_mg += max(0.0, expected_mg - came_mg)
             self._last, self._quiet_s = (self._passed_s, known.bank.mass_mg, row.reading_mg), 0.0
             known.follow()

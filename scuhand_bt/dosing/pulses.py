@@ -20,11 +20,21 @@ GROWS = 6.0
 extrapolated."""
 SHAKEN_UNSURE = 1.0
 """What a coefficient may be off by once the powder is shaken for the first time, or harder."""
+LEAST_TOLD_MG = 0.1
+"""What a pulse has brought counts as so much at least."""
 LEAST_UNSURE = 0.15
+LEAST_PULSE_MG, PULSE_S = 0.3, 0.4
+"""No pulse is to bring less; and it is so wide that it brings what it should in such a time."""
+LEAST_GAP_MM = 0.1
+"""Above the threshold: the least opening of a pulse."""
+SHORTEST_S, LONGEST_S = 0.05, 3.0
+"""Of the time that a pulse stays open."""
+SETTLES = 5.0
+"""Times the balance's lag, after which it has shown what a pulse brought."""
 BARREN_SHARE = 0.2
 """A pulse that brings less than this share of what was expected brings nothing."""
-DOUBTED_PULSES, GIVEN_UP_PULSES = 8, 20
-"""After so many barren pulses in a row the coefficient is lowered, or the dose ends."""
+DOUBTED_PULSES, LOWERED, GIVEN_UP_PULSES = 8, 0.8, 20
+"""After so many barren pulses in a row the coefficient is lowered by a factor; after more the dose ends."""
 
 
 def within(room_mg: float, surge_mg: float) -> float:
@@ -70,11 +80,13 @@ class _Sizing:
         aim_mg = within(remaining_mg, known.bank.surge_mg) * math.exp(-DEVIATIONS * spread)
         if self.brought_mg > 0.0:
             aim_mg = min(aim_mg, GROWS * self.brought_mg)
-        aim_mg = max(aim_mg, 0.3)
-        opening_mm = known.shape.opening_mm(aim_mg / self.coefficient / 0.4)
-        opening_mm = min(max(opening_mm, known.shape.threshold_mm + 0.1), request.max_opening_mm)
+        aim_mg = max(aim_mg, LEAST_PULSE_MG)
+        opening_mm = known.shape.opening_mm(aim_mg / self.coefficient / PULSE_S)
+        opening_mm = min(max(opening_mm, known.shape.threshold_mm + LEAST_GAP_MM), request.max_opening_mm)
         steady = (aim_mg / self.coefficient - self._ramps(opening_mm)) / known.shape.value(opening_mm)
-        return Pulse(opening_mm, max(0.05, min(3.0, steady)), self._vibration, 5.0 * known.balance.lag_s)
+        return Pulse(
+            opening_mm, max(SHORTEST_S, min(LONGEST_S, steady)), self._vibration, SETTLES * known.balance.lag_s
+        )
 
     def learn(self, pulse: Pulse, gained_mg: float) -> None:
         phi_s = self._ramps(pulse.opening_mm) + self._known.shape.value(pulse.opening_mm) * pulse.dwell_s
@@ -84,11 +96,11 @@ class _Sizing:
             if self._vibration < FULL:
                 self.unsure = max(self.unsure, SHAKEN_UNSURE)
             self._vibration = min(FULL, self._vibration + GENTLE)
-            self.coefficient *= 0.8 if self.barren > DOUBTED_PULSES else 1.0
+            self.coefficient *= LOWERED if self.barren > DOUBTED_PULSES else 1.0
             return
         self.barren, self.brought_mg = 0, max(self.brought_mg, gained_mg)
         trust = self.unsure**2 / (self.unsure**2 + SCATTER**2 + 2.0 * self._known.bank.surge_mg / expected_mg)
-        self.coefficient *= float((max(gained_mg, 0.1) / expected_mg) ** trust)
+        self.coefficient *= float((max(gained_mg, LEAST_TOLD_MG) / expected_mg) ** trust)
         self.unsure = max(LEAST_UNSURE, self.unsure * float((1.0 - trust) ** 0.5))
         self._known.learn_coefficient(self.coefficient)
 
