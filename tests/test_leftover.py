@@ -9,7 +9,7 @@ from typing import cast
 
 import pytest
 from conftest import read
-from running import Ran, dry_run, make_lab
+from running import HEAD, Ran, dry_run, make_lab
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.load import Load
@@ -120,6 +120,14 @@ def test_the_plan_shows_beside_the_waste_what_goes_into_the_vessel_that_the_reci
     left_mg = odds_of(plan, [trial(setup, 1)]).leftovers_mg["beads"]
     assert list(left_mg) == ["kept", "returned", "discarded", "into jar"]
     assert [left_mg[kind].middle > 1000.0 for kind in left_mg] == [False, False, False, True]
+
+
+def test_the_plan_shows_what_is_kept_at_once_and_not_what_was_kept_again_and_again(tmp_path: Path) -> None:
+    recipe = tmp_path / "kept.yaml"
+    samples = "samples: [{id: x, source: beads, container: xrd_holder, mass: 20 mg, repeat: 3}]"
+    recipe.write_text(f"recipe: kept\nworkflow: fill_xrd_holder\n{samples}\n{HEAD}", encoding="utf-8")
+    left_mg = trial(Setup(recipe, starter_lab()), 1).leftovers_mg["beads"]
+    assert 500.0 < left_mg["kept"] < 4000.0
 
 
 def test_what_is_kept_of_one_mortar_goes_back_into_it_before_another_one_of_the_same_lot_is_scooped_from(

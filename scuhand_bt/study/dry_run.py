@@ -63,7 +63,9 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
         if event.source in became_mg:
             to = event.to if isinstance(event, Discarded) else None
             became = into(to) if to is not None and to in vessels else event.KIND
-            became_mg[event.source][became] += event.expected_mg
+            before, now = became_mg[event.source][became], event.expected_mg
+            # What is kept for the next dose is mostly what was kept before.
+            became_mg[event.source][became] = max(before, now) if isinstance(event, Kept) else before + now
     names = list(plan.recipe.sources)
     samples = tuple(
         SampleTrial(
