@@ -68,7 +68,7 @@ class Trial:
     used_mg: Mapping[str, float]
     """What each source has lost, by its name."""
     leftovers_mg: Mapping[str, Mapping[str, float]]
-    """By source, what was left in the cone after doses: returned, discarded, put away; of what was kept the most at once."""
+    """By source, what was left in the cone after doses: returned, discarded, put away; of what was kept the most."""
     asked_s: Mapping[str, float] = field(default_factory=dict)
     """When a person was first asked for something in each job in which one was, by its name."""
 
