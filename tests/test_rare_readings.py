@@ -63,7 +63,7 @@ def test_no_opening_waits_for_a_reading_that_is_late_or_lost_for_longer_than_the
 
 
 @pytest.mark.parametrize(("after_s", "is_over"), [(0.3, False), (1.0, True)])
-def test_an_opening_that_an_early_reading_has_ended_first_is_not_taken_to_be_over(after_s: float, is_over: bool) -> None:
+def test_an_opening_that_an_early_reading_has_ended_was_not_shut_before(after_s: float, is_over: bool) -> None:
     known = knowing(1.0)
     acts = known.act(0.5, 0.0, 0.4)
     next(acts)
