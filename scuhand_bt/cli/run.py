@@ -261,8 +261,7 @@ def _view(session: "Session", shows: HowMuch, shown: ExitStack) -> "BatchObserve
 
 def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowMuch) -> None:
     """What the run came to."""
-    from scuhand_bt.report import doses_table, end_line
-    from scuhand_bt.report.doses import said_of
+    from scuhand_bt.report import doses_table, end_line, said_of
 
     if shows != "quiet":
         out.print(doses_table(result.samples, out.width))
