@@ -74,7 +74,6 @@ class Valve:
     """A hand that notes what it is told."""
 
     opening_mm = 0.0
-    follows = False
 
     def __init__(self, clock: VirtualClock) -> None:
         self.told: list[Any] = []
@@ -85,8 +84,6 @@ class Valve:
 
     def set_opening(self, opening_mm: float) -> None:
         self.told.append(opening_mm)
-        if self.follows:
-            self.opening_mm = opening_mm
 
     def set_vibration(self, level: float) -> None:
         self.told.append(("vibrate", level))
@@ -308,7 +305,6 @@ def test_a_reading_that_comes_early_is_answered_and_none_that_is_lost_is_waited_
 
 def test_the_course_of_a_dose_has_an_opening_that_was_over_before_its_reading() -> None:
     loop = slow([Stream(1.0, hold_s=0.4), Stream(0.0)], [10.0, 20.0])
-    loop.valve.follows = True
     assert [point.opening_mm for point in loop.run().curve] == [1.0, 0.0]
 
 

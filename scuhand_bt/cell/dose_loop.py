@@ -43,7 +43,7 @@ class CurvePoint:
     time_s: float
     net_mg: float
     opening_mm: float
-    """With a reading; or just before, of an opening that has ended since the one before."""
+    """With a reading; or as it was told to be, of an opening that has ended since the one before."""
     vibration: float
     stable: bool
     estimate_mg: float
@@ -194,7 +194,8 @@ def run_dose(
                 hand.set_opening(command.opening_mm)
                 waiting = balance.next_reading(silence_s(period_s))
                 if command.hold_s < math.inf:
-                    reading, held_mm = yield from _held(waiting, command.hold_s, hand, clock)
+                    reading, is_over = yield from _held(waiting, command.hold_s, hand, clock)
+                    held_mm = command.opening_mm if is_over else 0.0
                 else:
                     reading = yield from waiting
                 seen = Observation(
@@ -254,19 +255,19 @@ def run_dose(
     return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
 
 
-def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, float]]:
-    """The next reading; the valve shuts after so long if it has not come by then. And how wide it stood then [mm]."""
-    end_s, held_mm = clock.now_s + hold_s, 0.0
+def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:
+    """The next reading; the valve shuts after so long if it has not come by then. And whether it has shut."""
+    end_s, is_over = clock.now_s + hold_s, False
     with closing(waiting):
         while True:
             try:
                 wake = next(waiting)
             except StopIteration as over:
                 reading: Reading = over.value
-                return reading, held_mm
-            yield wake._replace(until_s=min(wake.until_s, end_s))
-            if clock.now_s >= end_s:
-                held_mm, end_s = hand.opening_mm, math.inf
+                return reading, is_over
+            yield wake if is_over else wake._replace(until_s=min(wake.until_s, end_s))
+            if not is_over and clock.now_s >= end_s:
+                is_over = True
                 hand.set_opening(0.0)
 
 
