@@ -85,7 +85,7 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A source's amount does not fit into its mortar.", "Correct the amount or the mortar."
         ),
         "never-opened": Finding(
-            "The hand does not open as wide as a powder is believed to need to come at all.",
+            "The hand does not open as wide as a powder is believed to need to come, or to be more than a little.",
             "Correct the powder's `belief` or the hand's `max_opening`.",
         ),
         "source-short": Finding(

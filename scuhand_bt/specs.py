@@ -104,6 +104,17 @@ class PowderBelief(Spec):
     doses: Annotated[int, Field(ge=0)] = 0
     """How many doses it was learnt from."""
 
+    @property
+    def least_mm(self) -> float:
+        """The opening up to which little comes."""
+        return self.threshold_mm + self.narrowest_mm
+
+    @property
+    def little_comes(self) -> str:
+        """That in words, where it is too much."""
+        parts = f"'threshold', {self.threshold_mm:g} mm, and 'narrowest', {self.narrowest_mm:g} mm above it"
+        return f"little comes up to the belief's {parts}"
+
 
 BALANCE_SHAPES = ("ringing", "lively", "two poles", "one pole", "mean", "late", "delay")
 """Kinds of filters; `scuhand_bt.dosing.identification.SHAPES` has the figures."""
@@ -190,6 +201,8 @@ class Powder(Spec):
         if self.max_opening_mm <= self.belief.threshold_mm:
             widest, least = f"{self.max_opening_mm:g} mm", f"{self.belief.threshold_mm:g} mm"
             raise ValueError(f"'max_opening' is {widest}, and nothing comes up to the belief's 'threshold', {least}")
+        if self.max_opening_mm <= self.belief.least_mm:
+            raise ValueError(f"'max_opening' is {self.max_opening_mm:g} mm, and {self.belief.little_comes}")
         return self
 
     def widest_mm(self, controller: str) -> float:

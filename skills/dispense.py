@@ -74,6 +74,11 @@ ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 
 
+def _untold(shown_mg: float) -> str:
+    """What a balance that is not believed shows of a dose that is none therefore: powder has fallen all the same."""
+    return f"; it shows {shown_mg:.1f} mg in the container, which are not told as a dose"
+
+
 def _known_controller(name: str) -> str:
     if name and name not in CONTROLLERS:
         raise ValueError(f"no controller is called '{name}'; there are {', '.join(CONTROLLERS)}")
@@ -159,14 +164,15 @@ class Dispense(Skill[Dose]):
         finally:
             gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before.gross_mg
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
-        self._require_readability(cell, run)
+        shown_mg = run.last.gross_mg - before.gross_mg
+        self._require_readability(cell, run, shown_mg)
         self._learn(cell, run)
         for pair in run.watched:
             note_moved(cell, *pair)
         believed.zero_stepped(self._fell_mg(cell, run))
         pause_s = watch_s(before, run.last, self.tolerance_mg)
         after, mean = yield from weigh_until_still(cell, run.last, 0.0, pause_s, may_gain=True)
-        self._require_alive(cell)
+        self._require_alive(cell, mean.value_mg - before.gross_mg)
         pairs = ((earlier, before), *run.watched, (after, weighing_of(mean)))
         gained, drift = dose_between(pairs, digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
@@ -212,14 +218,15 @@ class Dispense(Skill[Dose]):
         return request.target_mg / (powder.coefficient * gap_mm**powder.exponent)
 
     @staticmethod
-    def _require_readability(cell: Cell, run: DoseRun) -> None:
+    def _require_readability(cell: Cell, run: DoseRun, shown_mg: float) -> None:
         """A balance that holds its display, or shows finer digits than it weighs: all are multiples of something."""
         digit_mg = cell.spec.balance.readability_mg
         readings_mg = [point.net_mg for point in run.curve if not point.stable]
         if (held := held_mg(readings_mg, digit_mg)) > 0.0:
             raise SkillFailed(
                 Code.BALANCE_COARSE,
-                f"the display stood still in the dose, and then jumped by {held:.1f} mg: it holds what it shows",
+                f"the display stood still in the dose, and then jumped by {held:.1f} mg: it holds what it shows"
+                f"{_untold(shown_mg)}",
             )
         seen = {round(mg / digit_mg) for mg in readings_mg}
         first = min(seen, default=0)
@@ -228,14 +235,14 @@ class Dispense(Skill[Dose]):
             raise SkillFailed(
                 Code.BALANCE_COARSE,
                 f"all {len(seen)} readings of the dose that differ do so by multiples of {step * digit_mg:g} mg; "
-                f"robot/cell.yaml says a readability of {digit_mg:g} mg",
+                f"robot/cell.yaml says a readability of {digit_mg:g} mg{_untold(shown_mg)}",
             )
 
     @staticmethod
-    def _require_alive(cell: Cell) -> None:
+    def _require_alive(cell: Cell, shown_mg: float) -> None:
         """A frozen display hides what has come since."""
         if stands_still(cell):
-            raise SkillFailed(Code.BALANCE_COARSE, STOOD_STILL)
+            raise SkillFailed(Code.BALANCE_COARSE, STOOD_STILL + _untold(shown_mg))
 
     @property
     def _allowed_mg(self) -> float:
@@ -360,7 +367,8 @@ class Dispense(Skill[Dose]):
             cell.believed.rest_left()
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"{reached}; what is left in the cone comes only shaken")
         if run.finish.reason == "step_limit":
-            raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.pulses} pulses")
+            pulses = f"{dose.pulses} pulse{'s' if dose.pulses != 1 else ''}"
+            raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.duration_s / 60.0:.0f} min, in {pulses}")
 
     def _gave_out(self, cell: Cell, reached: str, dose: Dose) -> SkillFailed:
         """Why no powder comes: an empty cone, a bridge or a poor scoop, or a source that gives nothing.

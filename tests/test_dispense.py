@@ -353,8 +353,16 @@ def test_powder_that_does_not_come_is_an_empty_cone_or_none_by_what_the_cone_sho
 
 
 def test_a_dose_that_took_too_many_steps_is_not_reached(rig: Rig) -> None:
-    with pytest.raises(SkillFailed, match=r"dose\.not_reached"):
+    with pytest.raises(SkillFailed, match=r"dose\.not_reached: 30\.0 mg of 50 mg after \d+ min, in 1 pulse$"):
         rig.dispense(30.0, reason="step_limit")
+
+
+def test_what_a_balance_that_is_not_believed_shows_of_a_dose_is_said_though_it_is_none(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scuhand_bt.cell.weighing.is_frozen", lambda readings_mg, digit_mg: True)
+    with pytest.raises(SkillFailed, match=r"balance\.coarse: .*; it shows 50\.0 mg in the container, which are no"):
+        rig.dispense(50.0)
 
 
 def test_two_loads_that_brought_nothing_are_told_as_such(rig: Rig) -> None:

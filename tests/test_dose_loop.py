@@ -43,19 +43,21 @@ class Scripted:
 
 
 class Pan:
-    """A balance that shows these net masses, one after the other, every 0.1 s; the same while nothing is commanded."""
+    """A balance that shows these net masses, one after the other, every 0.1 s or `after_s`; the same while nothing is
+    commanded."""
 
     def __init__(self, clock: VirtualClock, net_mg: Iterable[float], controller: Scripted) -> None:
         self.spec = BalanceSpec(readability_mg=0.1)
         self.latest: Reading | None = None
         self.timeouts_s: list[float] = []
+        self.after_s = 0.1
         self._clock, self._net_mg, self._controller = clock, iter(net_mg), controller
         self._weighed = (-1, 0.0)
         self.creep_mg: Iterator[float] = itertools.repeat(0.0)
 
     def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
         self.timeouts_s.append(timeout_s)
-        end_s = self._clock.now_s + 0.1
+        end_s = self._clock.now_s + self.after_s
         while self._clock.now_s < end_s:
             yield Wake(end_s)
         self.latest = Reading(EMPTY_MG + next(self._net_mg), False, self._clock.now_s)
@@ -276,18 +278,39 @@ def test_a_dose_without_end_is_ended_after_half_an_hour() -> None:
     assert (last["kind"], last["net_mg"], last["gross_mg"]) == ("settle", 7.0, EMPTY_MG + 7.0)
 
 
+def slow(commands: Iterable[Command], net_mg: Iterable[float], after_s: float = 1.0) -> Loop:
+    """On a balance that is to tell a reading once a second, and tells each `after_s` after the one before."""
+    loop = Loop(commands, net_mg)
+    loop.pan.spec, loop.pan.after_s = BalanceSpec(period_s=1.0), after_s
+    return loop
+
+
 def test_an_opening_ends_when_it_is_over_though_no_reading_has_come() -> None:
-    loop = Loop([Stream(1.0, 0.5, hold_s=0.4), Stream(1.0, hold_s=2.0)], [10.0, 20.0])
-    loop.pan.spec = BalanceSpec(period_s=1.0)
+    loop = slow([Stream(1.0, 0.5, hold_s=0.4), Stream(1.0, hold_s=1.1)], [10.0, 20.0])
     loop.run()
     assert loop.valve.told == [("vibrate", 0.5), 1.0, 0.0, ("vibrate", 0.0), 1.0, "stop"]
-    assert loop.controller.seen[0].time_s == pytest.approx(BEGAN_S + 0.5)
+    assert loop.controller.seen[0].time_s == pytest.approx(BEGAN_S + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("after_s", "told"), [(0.3, [1.0, 1.0, "stop"]), (2.0, [1.0, 0.0, 1.0, 0.0, "stop"])], ids=["early", "lost"]
+)
+def test_a_reading_that_comes_early_is_answered_and_none_that_is_lost_is_waited_for_with_the_valve_open(
+    after_s: float, told: list[Any]
+) -> None:
+    loop = slow([Stream(1.0, hold_s=0.4), Stream(1.0, hold_s=1.1)], [10.0, 20.0], after_s)
+    loop.run()
+    assert [what for what in loop.valve.told if what != ("vibrate", 0.0)] == told
+
+
+def test_the_course_of_a_dose_has_an_opening_that_was_over_before_its_reading() -> None:
+    loop = slow([Stream(1.0, hold_s=0.4), Stream(0.0)], [10.0, 20.0])
+    assert [point.opening_mm for point in loop.run().curve] == [1.0, 0.0]
 
 
 def test_only_while_the_valve_was_open_nothing_came_of_the_cone() -> None:
     for hold_s, is_given_up in ((0.2, False), (0.3, True)):
-        loop = Loop([*[Stream(1.0, hold_s=hold_s)] * 250, Weigh(), Stream(0.0)], [0.0] * 252)
-        loop.pan.spec = BalanceSpec(period_s=1.0)
+        loop = slow([*[Stream(1.0, hold_s=hold_s)] * 250, Weigh(), Stream(0.0)], [0.0] * 252)
         assert (loop.run().finish.reason == "no_flow") == is_given_up
 
 

@@ -64,6 +64,12 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
             "repose: 25 deg\n  max_opening: 0.05 mm",
             "'max_opening' is 0.05 mm, and nothing comes up to the belief's 'threshold', 0.05 mm",
         ),
+        (
+            "powders",
+            "threshold: 0.05 mm,",
+            "threshold: 0.05 mm, narrowest: 5 mm,",
+            "'max_opening' is 2.4 mm, and little comes up to the belief's 'threshold', 0.05 mm, and 'narrowest', 5 mm",
+        ),
         ("powders", "repose: 25 deg", "repose: 25 %", "'%' is a unit of ratio, not of angle"),
         ("powders", "repose: 25 deg", "name: x", "unknown key 'name'"),
         ("powders", "gain: 0.33", "gain: .nan", "'gain': '.nan' is not accepted"),

@@ -21,8 +21,9 @@ from scuhand_bt.journal.results import SampleResult, SampleVerdict, SoFar
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.composition import ComposedPowder, Composition, ElementShare
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.report.doses import doses_table
+from scuhand_bt.report.doses import doses_table, said_of
 from scuhand_bt.report.live import PlainLines
+from scuhand_bt.report.picture import in_words
 from scuhand_bt.run.outcome import confirmed, doubted, inputs_for, sample_result
 from scuhand_bt.specs import Container
 
@@ -79,6 +80,16 @@ def gone(closes: bool = True, container: str = "a", **masses_mg: float) -> Close
     """What the bare pan made of a container's doses."""
     nets = {lot: Net(mass_mg, 0.1) for lot, mass_mg in masses_mg.items()}
     return ClosedBracket(container, nets, closes, 0.0, "3 mg are nobody's")
+
+
+def test_what_is_over_or_under_only_for_what_is_not_known_of_it_is_said_to_be_so() -> None:
+    sure, unsure, under = dose(55.0), dose(50.0, uncertainty_mg=17.0), dose(48.9, uncertainty_mg=0.5)
+    assert [said_of(result(one)) for one in (sure, unsure, under)] == ["over", "under, not surely", "under, not surely"]
+    both = result(dose(50.0), dose(500.3, 500.0, lot=SALT, uncertainty_mg=3.0))
+    assert (both.verdict, said_of(both)) == ("over", "over, not surely"), "which of its doses are not known"
+    assert said_of(result(sure, dose(500.3, 500.0, lot=SALT, uncertainty_mg=3.0))) == "over", "one of which surely is"
+    assert said_of(result(dose(50.4))) == "in tolerance"
+    assert "-1.1 mg) in 3 pulses, 1 min 00 s: under, not surely" in in_words(result(under))
 
 
 def test_what_the_recipe_asks_is_what_the_sample_has() -> None:

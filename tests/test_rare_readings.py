@@ -8,8 +8,10 @@ from running import dry_run, make_lab
 
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
+from scuhand_bt.dosing.controller import Observation
 from scuhand_bt.dosing.estimation import OPENING_ERROR_MM
-from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, Knowledge
+from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, SLACK_S, Knowledge
+from scuhand_bt.dosing.opening import Opening
 
 POWDERS = shipped_powders()
 
@@ -49,8 +51,25 @@ def knowing(period_s: float, coefficient: float = 60.0) -> Knowledge:
 def test_an_opening_is_the_shorter_the_less_may_come_and_the_stronger_the_flow() -> None:
     weak, strong = knowing(1.0), knowing(1.0, 600.0)
     holds_s = [weak.hold_s(0.5, most_mg) for most_mg in (100.0, 30.0, 12.0, 3.0)]
-    assert holds_s[0] == float("inf") > holds_s[1] > holds_s[2] > holds_s[3] == LEAST_HOLD_S
+    assert holds_s[0] == weak.until_next_s > holds_s[1] > holds_s[2] > holds_s[3] == LEAST_HOLD_S
     assert strong.hold_s(0.5, 100.0) < weak.hold_s(0.5, 100.0)
+
+
+def test_no_opening_waits_for_a_reading_that_is_late_or_lost_for_longer_than_the_constraint_has_it() -> None:
+    known = knowing(1.0)
+    assert known.until_next_s == 1.0 + SLACK_S
+    assert Opening(known, 1000.0, 0.0).hold_s(0.3) == known.until_next_s
+    assert Opening(known, 1000.0, 2.0).hold_s(0.3) == known.until_next_s, "where a lump is shaken out, too"
+
+
+@pytest.mark.parametrize(("after_s", "is_over"), [(0.3, False), (1.0, True)])
+def test_an_opening_that_an_early_reading_has_ended_was_not_shut_before(after_s: float, is_over: bool) -> None:
+    known = knowing(1.0)
+    acts = known.act(0.5, 0.0, 0.4)
+    next(acts)
+    with pytest.raises(StopIteration):
+        acts.send(Observation(after_s, 0.0, 0.03, False, 0.5))
+    assert known.valve.target_mm == (0.0 if is_over else 0.5)
 
 
 def test_where_readings_come_as_often_as_a_valve_can_open_each_opening_waits_for_one() -> None:

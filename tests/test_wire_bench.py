@@ -50,3 +50,21 @@ def test_powder_dosed_through_the_wires_lands_in_the_container_and_is_weighed_th
             assert devices.hand.cone_diameter_mm == pytest.approx(closed_mm, abs=0.05)
         finally:
             devices.close()
+
+
+def test_a_balances_twin_tells_readings_as_often_as_the_cell_says_that_it_does() -> None:
+    """Told oftener, each of them several times, they were a display that stands still, and then jumps."""
+    lab = load_lab(starter_lab())
+    balance = lab.cell.balance.model_copy(update={"driver": "and", "period_s": 0.5})
+    spec = lab.cell.model_copy(update={"balance": balance})
+    x_mm, y_mm, z_mm = spec.station_of_kind("balance").position_mm
+    above = ApexPose(np.array([x_mm, y_mm, z_mm + 80.0]) / 1000.0)
+    joints = solutions(above, Mount.of(spec.hand))[0]
+    clock = WallClock()
+    with WireBench(spec, {}, lab.folder / "robot" / "firmware", joints, clock) as bench:
+        devices = connect_cell_devices(bench.spec, clock)
+        try:
+            times_s = [carry_out(devices.balance.next_reading(), clock).time_s for _ in range(5)]
+        finally:
+            devices.close()
+    assert times_s[-1] - times_s[0] > 1.5

@@ -7,10 +7,11 @@ the motor off when it ends, however it ends: a reading that does not come for `s
 import math
 import statistics
 from collections import deque
+from contextlib import closing
 from dataclasses import dataclass, field
 
 from scuhand_bt.clock import Clock, Steps, pause
-from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
+from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, settled_from
 from scuhand_bt.dosing.controller import (
     LONGEST_UNWEIGHED_S,
@@ -42,6 +43,7 @@ class CurvePoint:
     time_s: float
     net_mg: float
     opening_mm: float
+    """With a reading; or as it was told to be, of an opening that has ended since the one before."""
     vibration: float
     stable: bool
     estimate_mg: float
@@ -184,15 +186,18 @@ def run_dose(
                 record.event(_pulsed(Weigh(0.0), ended, acted_s, mean))
                 command = Finish("step_limit", ended.net_mg, ended.uncertainty_mg)
                 break
+            held_mm = 0.0
             if isinstance(command, Stream):
                 pulses += not streaming
                 streaming = True
                 hand.set_vibration(command.vibration)
                 hand.set_opening(command.opening_mm)
-                if command.hold_s < period_s:
-                    yield from pause(clock, command.hold_s)
-                    hand.set_opening(0.0)
-                reading = yield from balance.next_reading(silence_s(period_s))
+                waiting = balance.next_reading(silence_s(period_s))
+                if command.hold_s < math.inf:
+                    reading, is_over = yield from _held(waiting, command.hold_s, hand, clock)
+                    held_mm = command.opening_mm if is_over else 0.0
+                else:
+                    reading = yield from waiting
                 seen = Observation(
                     reading.time_s,
                     reading.value_mg - reference.zero_mg,
@@ -243,10 +248,27 @@ def run_dose(
             if seen.stable and flow.barren_s > BARREN_S and is_going_on:
                 why = request.given_up(seen.net_mg - reference.earlier.mass_mg)
                 command = Finish(why, seen.net_mg, seen.uncertainty_mg)
-            keep(CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg))
+            shown_mm = max(seen.opening_mm, held_mm)
+            keep(CurvePoint(seen.time_s, seen.net_mg, shown_mm, level, seen.stable, controller.estimate_mg))
     finally:
         hand.stop()
     return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
+
+
+def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:
+    """The next reading; the valve shuts after so long if it has not come by then. And whether it has shut."""
+    end_s, is_over = clock.now_s + hold_s, False
+    with closing(waiting):
+        while True:
+            try:
+                wake = next(waiting)
+            except StopIteration as over:
+                reading: Reading = over.value
+                return reading, is_over
+            yield wake if is_over else wake._replace(until_s=min(wake.until_s, end_s))
+            if not is_over and clock.now_s >= end_s:
+                is_over = True
+                hand.set_opening(0.0)
 
 
 def _pulsed(command: Pulse | Weigh, seen: Observation, acted_s: float, mean: StableMean) -> Pulsed:

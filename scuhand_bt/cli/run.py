@@ -261,13 +261,13 @@ def _view(session: "Session", shows: HowMuch, shown: ExitStack) -> "BatchObserve
 
 def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowMuch) -> None:
     """What the run came to."""
-    from scuhand_bt.report import doses_table, end_line
+    from scuhand_bt.report import doses_table, end_line, said_of
 
     if shows != "quiet":
         out.print(doses_table(result.samples, out.width))
         for sample in result.samples:
             if sample.code is not None:
-                out.print(Text(f"{sample.id}: {sample.verdict}, {sample.code}: {sample.detail}"), soft_wrap=True)
+                out.print(Text(f"{sample.id}: {said_of(sample)}, {sample.code}: {sample.detail}"), soft_wrap=True)
     out.print(Text(end_line(result, seconds)), soft_wrap=True)
     for rule in session.unused_rules:
         out.print(Text(f"Never came: {rule}"))

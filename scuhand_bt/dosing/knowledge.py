@@ -134,9 +134,9 @@ class Knowledge:
         before_mm = self._known_gap_mm
         self.valve.command(self.time_s, opening_mm)
         changed = math.log(self._known_gap_mm / before_mm) if opening_mm > 0.0 else 0.0
-        if hold_s < math.inf:
-            self.valve.command(self.time_s + hold_s, 0.0)
         seen = yield Stream(opening_mm, vibration, hold_s)
+        if seen.time_s > self.time_s + hold_s:
+            self.valve.command(self.time_s + hold_s, 0.0)
         dt_s = seen.time_s - self.time_s
         phi_s, slope_s = self.valve.advance(self.time_s, seen.time_s)
         self.time_s = seen.time_s
@@ -209,6 +209,14 @@ class Knowledge:
         return max(self.request.target_mg - under_mg, least_mg)
 
     @property
+    def until_next_s(self) -> float:
+        """How long an opening lasts that is to last until the next reading.
+
+        Where readings are rare it ends without one that is late, or lost: the constraint has it answered by then.
+        """
+        return self._late_s if self.request.balance_period_s > LEAST_HOLD_S else math.inf
+
+    @property
     def _late_s(self) -> float:
         """Between a reading and the valve's answer to it."""
         return self.request.balance_period_s + SLACK_S
@@ -235,14 +243,14 @@ class Knowledge:
         return strong * self.valve.passes(opening_mm + STUCK_MM, open_s)
 
     def hold_s(self, opening_mm: float, most_mg: float) -> float:
-        """How long the constraint lets an opening last that no reading ends before; inf where that is until the next.
+        """How long the constraint lets an opening last that no reading ends before; until the next at the most.
 
         On a balance that tells readings rarely the narrowest may let out too much until then, and one that begins may
         be of a sheet that sticks.
         """
         period_s, valve = self.request.balance_period_s, self.valve
         if period_s <= LEAST_HOLD_S:
-            return math.inf
+            return self.until_next_s
         holds_s = np.geomspace(LEAST_HOLD_S, period_s, HOLDS)
         way = np.array([powers(*valve.passing(opening_mm, hold_s)) for hold_s in holds_s.tolist()])
         is_allowed = chance(self.bank, *self.bank.coming(way), most_mg) <= RISK
@@ -251,7 +259,7 @@ class Knowledge:
             is_allowed &= np.array([self.stuck_mg(opening_mm, hold_s) <= room_mg for hold_s in holds_s.tolist()])
         allowed = np.flatnonzero(is_allowed)
         longest = int(allowed[-1]) if len(allowed) else 0
-        return math.inf if longest == HOLDS - 1 else float(holds_s[longest])
+        return self.until_next_s if longest == HOLDS - 1 else float(holds_s[longest])
 
     @property
     def sees_s(self) -> float:

@@ -71,8 +71,8 @@ class Opening:
         return min(self._opening_mm, self._begins_mm) if may_stick else self._opening_mm
 
     def hold_s(self, width_mm: float) -> float:
-        """How long it is to stay so wide; inf for until the next reading, as where a lump is waited for."""
-        return math.inf if self._lump_mg else self._known.hold_s(width_mm, self._most_mg)
+        """How long it is to stay so wide: until the next reading where a lump is waited for."""
+        return self._known.until_next_s if self._lump_mg else self._known.hold_s(width_mm, self._most_mg)
 
     def see(self, score: float, *, is_first: bool) -> Seen | None:
         """Why to shut after a reading, of this innovation in standard deviations; None: stay open.

@@ -197,8 +197,10 @@ def check_source(source: Source, cell: CellSpec, marks: Mapping[str, Node], prob
     `marks` are the places of its values.
     """
     powder, mortar, widest_mm = source.powder, source.mortar, cell.hand.max_opening_mm
-    if powder.belief.threshold_mm >= widest_mm:
-        least = f"nothing of {powder.name} comes up to its belief's 'threshold', {powder.belief.threshold_mm:g} mm"
+    if powder.belief.least_mm >= widest_mm:
+        least = f"of {powder.name} {powder.belief.little_comes}"
+        if powder.belief.threshold_mm >= widest_mm:
+            least = f"nothing of {powder.name} comes up to its belief's 'threshold', {powder.belief.threshold_mm:g} mm"
         remedy = "correct it in robot/powders.yaml, or the hand's 'max_opening' in robot/cell.yaml"
         problems.add(
             marks["powder"].mark, f"the hand opens to {widest_mm:g} mm, and {least}", remedy, code="never-opened"

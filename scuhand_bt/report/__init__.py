@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from scuhand_bt.report.backup import back_up, restore
     from scuhand_bt.report.dose_curves import curves_of_doses
     from scuhand_bt.report.dose_plot import plot_dose
-    from scuhand_bt.report.doses import amount_cell, asked_cells, composed_lines, doses_table
+    from scuhand_bt.report.doses import amount_cell, asked_cells, composed_lines, doses_table, said_of
     from scuhand_bt.report.live import LiveView, PlainLines, end_line
     from scuhand_bt.report.live_terminal import LiveTerminal
     from scuhand_bt.report.move_page import page_of_move
@@ -32,7 +32,7 @@ else:
             "report.backup": "back_up restore",
             "report.dose_curves": "curves_of_doses",
             "report.dose_plot": "plot_dose",
-            "report.doses": "amount_cell asked_cells composed_lines doses_table",
+            "report.doses": "amount_cell asked_cells composed_lines doses_table said_of",
             "report.live": "LiveView PlainLines end_line",
             "report.live_terminal": "LiveTerminal",
             "report.move_page": "page_of_move",
@@ -77,6 +77,7 @@ __all__ = [
     "proof_of",
     "reach_page",
     "restore",
+    "said_of",
     "shown_move",
     "shown_of",
     "told",

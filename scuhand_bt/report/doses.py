@@ -50,6 +50,15 @@ class DoseRow:
     """One dose of the sample whose row is above."""
 
 
+def said_of(one: SampleResult | DoseResult) -> str:
+    """Its verdict; what is over or under by less than its tolerance is so only for all that is not known of it."""
+    if isinstance(one, SampleResult):
+        told = {said_of(dose) for dose in one.doses if dose.verdict == one.verdict}
+        return told.pop() if len(told) == 1 else one.verdict
+    is_unsure = one.verdict in ("over", "under") and abs(one.error_mg) <= one.tolerance_mg
+    return f"{one.verdict}, not surely" if is_unsure else one.verdict
+
+
 def columns_for(results: Sequence[SampleResult]) -> list[str]:
     """The columns of a table of these: what a simulation tells, or a workflow records, where there is any."""
     left_out = {HOLDS} if all(result.true_mg is None for result in results) else set()
@@ -61,7 +70,7 @@ def columns_for(results: Sequence[SampleResult]) -> list[str]:
 def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
     """A sample's row, and below it one for each of its doses where there are several."""
     is_single = len(result.doses) < 2
-    verdict = result.verdict if result.code is None else f"{result.verdict}, {result.code}"
+    verdict = said_of(result) if result.code is None else f"{said_of(result)}, {result.code}"
     counts = {
         "pulses": str(result.pulses),
         "scoops": str(result.scoops),
@@ -90,7 +99,7 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
     )
     for dose in () if is_single else result.doses:
         yield DoseRow(
-            {"id": dose_name(dose, result), **_masses(dose), "verdict": dose.verdict},
+            {"id": dose_name(dose, result), **_masses(dose), "verdict": said_of(dose)},
             tone_of(dose),
             _numbers(dose),
             is_part=True,

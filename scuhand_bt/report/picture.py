@@ -17,7 +17,7 @@ from rich.text import Text
 
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_duration, format_mass
-from scuhand_bt.report.doses import dose_name, doses_table
+from scuhand_bt.report.doses import dose_name, doses_table, said_of
 from scuhand_bt.run.questions import MEANINGS
 
 SIGNS: Mapping[str, tuple[str, str]] = {
@@ -178,9 +178,9 @@ def in_words(result: SampleResult) -> str:
         said = _dispensed(result.dispensed_mg, result.target_mg, result.error_mg)
     else:
         doses = ((dose, _dispensed(dose.dispensed_mg, dose.target_mg, dose.error_mg)) for dose in result.doses)
-        said = "; ".join(f"{dose_name(dose, result)} {masses}, {dose.verdict}" for dose, masses in doses)
+        said = "; ".join(f"{dose_name(dose, result)} {masses}, {said_of(dose)}" for dose, masses in doses)
     pulses = f"{result.pulses} pulse{'s' if result.pulses != 1 else ''}"
-    line = f"{said} in {pulses}, {format_duration(result.duration_s)}: {result.verdict}"
+    line = f"{said} in {pulses}, {format_duration(result.duration_s)}: {said_of(result)}"
     return line + why
 
 

@@ -151,6 +151,7 @@ class WireBench:
         kind = balance_twin(spec.balance.driver)
         self._balance, self._hand, self._pan = balance, hand, WirePan(balance)
         twin = kind(self._pan, spec.balance.readability_mg, spec.balance.maximum_mg)
+        twin.period_s = spec.balance.period_s  # told oftener, a reading would pass for a display that stands still
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
         self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
         self.scene = BenchScene(self.world, spec.changer.slot_count)
