@@ -175,7 +175,7 @@ STATE = {"READING", "RATE", "MASS", "K", "G"}
 """Numbers of rows, not figures."""
 LAW = (
     *("adaptive", "opening", "knowledge", "constraint", "estimation", "identification"),
-    *("noise", "valve", "pulses"),
+    *("unseen", "noise", "valve", "pulses"),
 )
 
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Stream, Weigh, new_controller
 from scuhand_bt.dosing.adaptive import Adaptive, Ended
 from scuhand_bt.dosing.controller import Command, Doubt
-from scuhand_bt.dosing.knowledge import SEEN_S, SLACK_S, STUCK_MM, Knowledge
+from scuhand_bt.dosing.knowledge import SLACK_S, Knowledge
+from scuhand_bt.dosing.unseen import SEEN_S, STUCK_MM, begins_mm, seen_s, stuck_mg
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 BEADS = shipped_powders()["glass_beads"].belief
@@ -100,11 +101,11 @@ def test_powder_that_primed_late_is_known_for_how_it_flows_though_it_shows_when_
 
 def test_a_first_opening_that_was_held_up_leaves_the_next_as_careful_and_one_that_was_not_does_not() -> None:
     held_up, free = Knowledge(request(powder=BEADS)), Knowledge(request(powder=BEADS))
-    before_mm = free.begins_mm(480.0)
+    before_mm = begins_mm(free, 480.0)
     Scale(held_up, 0.2 * BEADS.coefficient).opening(1.0, 2.0)
     Scale(free, 0.8 * BEADS.coefficient).opening(1.0, 2.0)
-    assert before_mm <= held_up.begins_mm(480.0) < 1.25 * before_mm, "weaker by belief, and seen at a wider opening"
-    assert free.begins_mm(480.0) > 1.3 * before_mm
+    assert before_mm <= begins_mm(held_up, 480.0) < 1.25 * before_mm, "weaker by belief, and seen at a wider opening"
+    assert begins_mm(free, 480.0) > 1.3 * before_mm
 
 
 @pytest.mark.parametrize(("share", "forgets"), [(0.0, True), (0.5, False), (0.9, False)])
@@ -199,14 +200,14 @@ def test_an_opening_begins_so_that_a_sheet_which_sticks_then_lets_out_no_more_th
     most_mg: float, lag_s: float
 ) -> None:
     known = Knowledge(request(balance=QUICK.model_copy(update={"lag_s": lag_s})))
-    opening_mm = known.begins_mm(most_mg)
-    assert known.stuck_mg(opening_mm, known.seen_s) <= most_mg or opening_mm <= known.shape.threshold_mm + 0.0501
-    assert known.seen_s > 2.0 * lag_s
-    assert known.stuck_mg(opening_mm, 1.0) > known.reference * known.shape.value(opening_mm + STUCK_MM)
+    opening_mm = begins_mm(known, most_mg)
+    assert stuck_mg(known, opening_mm, seen_s(known)) <= most_mg or opening_mm <= known.shape.threshold_mm + 0.0501
+    assert seen_s(known) > 2.0 * lag_s
+    assert stuck_mg(known, opening_mm, 1.0) > known.reference * known.shape.value(opening_mm + STUCK_MM)
 
 
 def test_far_from_the_target_a_sheet_that_sticks_limits_no_opening() -> None:
-    assert Knowledge(request()).begins_mm(3000.0) == 2.4
+    assert begins_mm(Knowledge(request()), 3000.0) == 2.4
 
 
 @given(most_mg=st.floats(5.0, 500.0), spread=st.floats(0.2, 1.5))
@@ -215,8 +216,8 @@ def test_an_opening_begins_so_narrow_that_a_flow_which_is_much_stronger_is_seen_
 ) -> None:
     known = Knowledge(request(balance=QUICK.model_copy(update={"lag_s": 0.4})))
     known.spread = spread
-    gap_mm = known.begins_mm(most_mg) - known.shape.threshold_mm
-    unseen_mg = known.reference * (1.0 + 2.6 * spread) * gap_mm**known.shape.exponent * known.seen_s
+    gap_mm = begins_mm(known, most_mg) - known.shape.threshold_mm
+    unseen_mg = known.reference * (1.0 + 2.6 * spread) * gap_mm**known.shape.exponent * seen_s(known)
     assert unseen_mg <= most_mg or gap_mm <= 0.0501
 
 
@@ -489,19 +490,19 @@ def test_a_powder_that_must_be_shaken_is_shaken_from_the_first_opening_on() -> N
 def test_an_opening_is_no_wider_than_a_sheet_that_sticks_allows_until_that_would_be_seen() -> None:
     settings: dict[str, object] = {"target_mg": 60.0, "balance": QUICK.model_copy(update={"lag_s": 0.3})}
     known = Knowledge(request(**settings))
-    begins_mm, widest_mm = known.begins_mm(known.most_mg), known.widest_mm(known.most_mg)
-    assert begins_mm < 0.9 * widest_mm
+    first_mm, widest_mm = begins_mm(known, known.most_mg), known.widest_mm(known.most_mg)
+    assert first_mm < 0.9 * widest_mm
     told_mm = widths_shown(lambda time_s: 0.0, **settings)
-    assert max(told_mm) <= begins_mm, "nothing that has come shows nothing"
-    comes_s = known.seen_s + 0.3
+    assert max(told_mm) <= first_mm, "nothing that has come shows nothing"
+    comes_s = seen_s(known) + 0.3
     told_mm = widths_shown(lambda time_s: max(0.0, time_s - comes_s) * 5.0, **settings)
     first_seen = math.ceil((comes_s + SEEN_S) / PERIOD_S)
-    assert max(told_mm[:first_seen]) <= begins_mm < max(told_mm)
+    assert max(told_mm[:first_seen]) <= first_mm < max(told_mm)
 
 
 def test_the_farther_beyond_what_was_seen_the_more_carefully_it_is_opened() -> None:
     near, far = (Knowledge(request(powder=BEADS.model_copy(update={"gap_mm": gap_mm}))) for gap_mm in (2.0, 0.5))
-    assert far.begins_mm(480.0) < 0.9 * near.begins_mm(480.0)
+    assert begins_mm(far, 480.0) < 0.9 * begins_mm(near, 480.0)
 
 
 @pytest.mark.parametrize("streaming", [True, False])

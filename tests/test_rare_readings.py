@@ -12,6 +12,7 @@ from scuhand_bt.dosing.controller import Observation
 from scuhand_bt.dosing.estimation import OPENING_ERROR_MM
 from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, SLACK_S, Knowledge
 from scuhand_bt.dosing.opening import Opening
+from scuhand_bt.dosing.unseen import hold_s
 
 POWDERS = shipped_powders()
 
@@ -50,9 +51,9 @@ def knowing(period_s: float, coefficient: float = 60.0) -> Knowledge:
 
 def test_an_opening_is_the_shorter_the_less_may_come_and_the_stronger_the_flow() -> None:
     weak, strong = knowing(1.0), knowing(1.0, 600.0)
-    holds_s = [weak.hold_s(0.5, most_mg) for most_mg in (100.0, 30.0, 12.0, 3.0)]
+    holds_s = [hold_s(weak, 0.5, most_mg) for most_mg in (100.0, 30.0, 12.0, 3.0)]
     assert holds_s[0] == weak.until_next_s > holds_s[1] > holds_s[2] > holds_s[3] == LEAST_HOLD_S
-    assert strong.hold_s(0.5, 100.0) < weak.hold_s(0.5, 100.0)
+    assert hold_s(strong, 0.5, 100.0) < hold_s(weak, 0.5, 100.0)
 
 
 def test_no_opening_waits_for_a_reading_that_is_late_or_lost_for_longer_than_the_constraint_has_it() -> None:
@@ -73,14 +74,14 @@ def test_an_opening_that_an_early_reading_has_ended_was_not_shut_before(after_s:
 
 
 def test_where_readings_come_as_often_as_a_valve_can_open_each_opening_waits_for_one() -> None:
-    assert knowing(0.1).hold_s(2.4, 0.0) == float("inf")
+    assert hold_s(knowing(0.1), 2.4, 0.0) == float("inf")
 
 
 def test_an_opening_that_begins_allows_for_a_sheet_that_sticks_and_one_that_goes_on_does_not() -> None:
     known = knowing(1.0)
-    begins_s = known.hold_s(0.4, 12.0)
+    begins_s = hold_s(known, 0.4, 12.0)
     known.valve.opening_mm = 0.4
-    assert begins_s < known.hold_s(0.4, 12.0)
+    assert begins_s < hold_s(known, 0.4, 12.0)
 
 
 def test_a_sheet_that_sticks_lets_out_little_more_than_may_come() -> None:

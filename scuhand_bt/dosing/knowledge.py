@@ -12,7 +12,7 @@ from collections.abc import Generator
 
 import numpy as np
 
-from scuhand_bt.dosing.constraint import NARROWEST_MM, RISK, chance, widest_mm
+from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
 from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream
 from scuhand_bt.dosing.estimation import (
     EXPONENT_ERROR,
@@ -39,26 +39,16 @@ SURE = 1.5
 """So many standard deviations below what is believed of it the flow surely is."""
 LEAST_MG, TELLING = 2.0, 20.0
 """Openings that neither brought this together nor should have, or so many times the noise, teach nothing yet."""
-STUCK_MM = 0.3
-"""Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
-STRONG = 0.5
-"""How much more of the flow it is allowed for then, at most."""
-HARDLY_EVER = 2.6
-"""Standard deviations that a flow is above its reference once in 200 times."""
-SEEN_S, SEEN_READINGS = 0.4, 2
-"""So long after the balance's delay, and so many readings, it is seen whether the sheet has stuck."""
 AIM_UNDER_MG = 0.1
 """Too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
 """Above the target, where the balance is too uncertain for any verdict."""
 SLACK_S = 0.1
 """Between a reading and the command that answers it."""
-LEAST_HOLD_S, HOLDS = 0.1, 12
-"""No opening is shorter; so many are compared where readings are rarer than that."""
+LEAST_HOLD_S = 0.1
+"""No opening is shorter."""
 GENTLE, FULL = 0.4, 1.0
 """Levels of vibration."""
-NARROWER = 0.95
-"""Openings that are compared to begin with are each so much narrower than the one before."""
 WIDER, MOST_NARROWEST_MM = 1.4, 0.5
 """Where nothing comes from it, the narrowest opening grows by this factor, up to so far above the threshold."""
 ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
@@ -237,60 +227,10 @@ class Knowledge:
             self.narrowest_mm,
         )
 
-    def stuck_mg(self, opening_mm: float, open_s: float) -> float:
-        """What an opening lets out that is shut after so long, where the sheet has stuck."""
-        strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
-        return strong * self.valve.passes(opening_mm + STUCK_MM, open_s)
-
-    def hold_s(self, opening_mm: float, most_mg: float) -> float:
-        """How long the constraint lets an opening last that no reading ends before; until the next at the most.
-
-        On a balance that tells readings rarely the narrowest may let out too much until then, and one that begins may
-        be of a sheet that sticks.
-        """
-        period_s, valve = self.request.balance_period_s, self.valve
-        if period_s <= LEAST_HOLD_S:
-            return self.until_next_s
-        holds_s = np.geomspace(LEAST_HOLD_S, period_s, HOLDS)
-        way = np.array([powers(*valve.passing(opening_mm, hold_s)) for hold_s in holds_s.tolist()])
-        is_allowed = chance(self.bank, *self.bank.coming(way), most_mg) <= RISK
-        if valve.opening_mm == 0.0:
-            room_mg = most_mg - self.bank.mass_mg
-            is_allowed &= np.array([self.stuck_mg(opening_mm, hold_s) <= room_mg for hold_s in holds_s.tolist()])
-        allowed = np.flatnonzero(is_allowed)
-        longest = int(allowed[-1]) if len(allowed) else 0
-        return self.until_next_s if longest == HOLDS - 1 else float(holds_s[longest])
-
-    @property
-    def sees_s(self) -> float:
-        """So long beside the balance's delay something must last to be seen."""
-        return max(SEEN_S, SEEN_READINGS * self.request.balance_period_s)
-
-    @property
-    def seen_s(self) -> float:
-        """So long after an opening began it is seen whether the sheet has stuck."""
-        return self.bank.delay_s + self.sees_s
-
-    def begins_mm(self, most_mg: float) -> float:
-        """How wide an opening may be until that: so that `most_mg` are not exceeded if it has, or the narrowest.
-
-        Nor if the sheet has not stuck, and the flow is as strong as it hardly ever is.
-        """
-        opening_mm = self.request.max_opening_mm
-        while opening_mm > self.least_mm and self._unseen_mg(opening_mm) > most_mg:
-            opening_mm = max(self.least_mm, NARROWER * opening_mm)
-        return opening_mm
-
     @property
     def least_mm(self) -> float:
         """The opening from less than which little comes."""
         return self.shape.threshold_mm + self.narrowest_mm
-
-    def _unseen_mg(self, opening_mm: float) -> float:
-        """What an opening may let out before it is seen, where the exponent may be off by as much as it may."""
-        strong_mg = self.reference * (1.0 + HARDLY_EVER * self.spread) * self.valve.passes(opening_mm, self.seen_s)
-        wider = max((opening_mm - self.shape.threshold_mm) / self.gap_mm, 1.0) ** EXPONENT_ERROR
-        return float(wider * max(self.stuck_mg(opening_mm, self.seen_s), strong_mg))
 
     @property
     def strongest(self) -> float:

@@ -1,6 +1,6 @@
 """One opening while it lasts: how wide the valve is to be, and what of its powder has been seen.
 
-* It begins so narrow that the sheet may stick and it is seen in time (`Knowledge.begins_mm`).
+* It begins so narrow that the sheet may stick and it is seen in time (`unseen.begins_mm`).
 * It is as wide as the chance constraint allows (`constraint`), narrower as the target comes near; a lump is shaken out
   of a width that should bring its share.
 * It is never widened while nothing is seen to come.
@@ -14,6 +14,7 @@ import numpy as np
 from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.estimation import powers
 from scuhand_bt.dosing.knowledge import NEAR_MG, RISEN, SURE, Knowledge
+from scuhand_bt.dosing.unseen import begins_mm, hold_s, seen_s, sees_s
 
 EVIDENT_S = 0.3
 """What has come no later than this ago still comes."""
@@ -43,12 +44,12 @@ class Opening:
         """`most_mg`: no more is to have left in the end. `lump_mg`: a lump's share, 0 where none is shaken for."""
         self._known, self._most_mg, self._lump_mg = known, most_mg, lump_mg
         self._first_reference = known.reference
-        self._begins_mm = known.begins_mm(most_mg - known.bank.mass_mg)
+        self._begins_mm = begins_mm(known, most_mg - known.bank.mass_mg)
         # A lump cannot be let out in part: where it is shaken for, it may come.
         shaken_mm = max(known.shape.opening_mm(lump_mg / known.reference / SHAKE_S), known.least_mm)
         self._shaken_mm = min(shaken_mm, known.request.max_opening_mm)
         self._opening_mm = math.inf
-        self._stuck_seen_s, self._came_s = known.time_s + known.seen_s, math.inf
+        self._stuck_seen_s, self._came_s = known.time_s + seen_s(known), math.inf
         self._passed_s = 0.0
         """The integral of phi."""
         self._last = 0.0, known.bank.mass_mg, known.begin_mg
@@ -67,12 +68,12 @@ class Opening:
         comes = self._last[0] > 0.0 and self._quiet_s <= EVIDENT_S
         self._opening_mm = wanted_mm if comes else min(wanted_mm, self._opening_mm)
         # Of powder that begins to come late nothing can be seen yet.
-        may_stick = not self._lump_mg and known.time_s < max(self._stuck_seen_s, self._came_s + known.sees_s)
+        may_stick = not self._lump_mg and known.time_s < max(self._stuck_seen_s, self._came_s + sees_s(known))
         return min(self._opening_mm, self._begins_mm) if may_stick else self._opening_mm
 
     def hold_s(self, width_mm: float) -> float:
         """How long it is to stay so wide: until the next reading where a lump is waited for."""
-        return self._known.until_next_s if self._lump_mg else self._known.hold_s(width_mm, self._most_mg)
+        return self._known.until_next_s if self._lump_mg else hold_s(self._known, width_mm, self._most_mg)
 
     def see(self, score: float, *, is_first: bool) -> Seen | None:
         """Why to shut after a reading, of this innovation in standard deviations; None: stay open.
@@ -112,14 +113,14 @@ class Opening:
         known, delay_s = self._known, self._known.bank.delay_s
         has_risen = known.rows[-1].reading_mg - self._last[2] > RISEN * known.rows[-1].noise_mg
         self._confirm(has_risen)
-        if is_first and self._came_s < math.inf and self._doubted_s > known.seen_s:
+        if is_first and self._came_s < math.inf and self._doubted_s > seen_s(known):
             return "weak"
         self._note(has_risen)
         last_s, last_mg, _ = self._last
         most_mg = max(last_mg + known.strongest * (self._passed_s - last_s), known.bank.mass_mg)
         if most_mg + self._missing_mg > self._most_mg:
             return "missing"
-        if self._quiet_s > max(QUIET_S, known.sees_s) + min(delay_s, MOST_QUIET_S):
+        if self._quiet_s > max(QUIET_S, sees_s(known)) + min(delay_s, MOST_QUIET_S):
             return "quiet"
         return "lump" if 0.0 < self._lump_mg < known.reference * self._passed_s else None
 

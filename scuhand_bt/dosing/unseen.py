@@ -1,0 +1,79 @@
+"""What an opening lets out before it is seen: how wide it may begin for that, and how long it may last.
+
+A sheet sticks as it bends, and a flow is stronger than believed; either is seen when the balance has shown it. Where
+readings are rare an opening ends before the next one tells.
+"""
+
+import numpy as np
+
+from scuhand_bt.dosing.constraint import RISK, chance
+from scuhand_bt.dosing.estimation import EXPONENT_ERROR, powers
+from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, Knowledge
+
+STUCK_MM = 0.3
+"""Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
+STRONG = 0.5
+"""How much more of the flow it is allowed for then, at most."""
+HARDLY_EVER = 2.6
+"""Standard deviations that a flow is above its reference once in 200 times."""
+SEEN_S, SEEN_READINGS = 0.4, 2
+"""So long after the balance's delay, and so many readings, it is seen whether the sheet has stuck."""
+NARROWER = 0.95
+"""Openings that are compared to begin with are each so much narrower than the one before."""
+HOLDS = 12
+"""So many durations are compared."""
+
+
+def sees_s(known: Knowledge) -> float:
+    """So long beside the balance's delay something must last to be seen."""
+    return max(SEEN_S, SEEN_READINGS * known.request.balance_period_s)
+
+
+def seen_s(known: Knowledge) -> float:
+    """So long after an opening began it is seen whether the sheet has stuck."""
+    return known.bank.delay_s + sees_s(known)
+
+
+def stuck_mg(known: Knowledge, opening_mm: float, open_s: float) -> float:
+    """What an opening lets out that is shut after so long, where the sheet has stuck."""
+    strong = max(known.reference * (1.0 + min(known.spread, STRONG)), known.seen)
+    return strong * known.valve.passes(opening_mm + STUCK_MM, open_s)
+
+
+def begins_mm(known: Knowledge, most_mg: float) -> float:
+    """How wide an opening may be until it is seen: so that `most_mg` are not exceeded if it sticks, or the narrowest.
+
+    Nor if the sheet has not stuck, and the flow is as strong as it hardly ever is.
+    """
+    opening_mm = known.request.max_opening_mm
+    while opening_mm > known.least_mm and _unseen_mg(known, opening_mm) > most_mg:
+        opening_mm = max(known.least_mm, NARROWER * opening_mm)
+    return opening_mm
+
+
+def _unseen_mg(known: Knowledge, opening_mm: float) -> float:
+    """What an opening may let out before it is seen, where the exponent may be off by as much as it may."""
+    until_s = seen_s(known)
+    strong_mg = known.reference * (1.0 + HARDLY_EVER * known.spread) * known.valve.passes(opening_mm, until_s)
+    wider = max((opening_mm - known.shape.threshold_mm) / known.gap_mm, 1.0) ** EXPONENT_ERROR
+    return float(wider * max(stuck_mg(known, opening_mm, until_s), strong_mg))
+
+
+def hold_s(known: Knowledge, opening_mm: float, most_mg: float) -> float:
+    """How long the constraint lets an opening last that no reading ends before; until the next at the most.
+
+    On a balance that tells readings rarely the narrowest may let out too much until then, and one that begins may
+    be of a sheet that sticks.
+    """
+    period_s, valve, bank = known.request.balance_period_s, known.valve, known.bank
+    if period_s <= LEAST_HOLD_S:
+        return known.until_next_s
+    holds_s = np.geomspace(LEAST_HOLD_S, period_s, HOLDS)
+    way = np.array([powers(*valve.passing(opening_mm, each_s)) for each_s in holds_s.tolist()])
+    is_allowed = chance(bank, *bank.coming(way), most_mg) <= RISK
+    if valve.opening_mm == 0.0:
+        room_mg = most_mg - bank.mass_mg
+        is_allowed &= np.array([stuck_mg(known, opening_mm, each_s) <= room_mg for each_s in holds_s.tolist()])
+    allowed = np.flatnonzero(is_allowed)
+    longest = int(allowed[-1]) if len(allowed) else 0
+    return known.until_next_s if longest == HOLDS - 1 else float(holds_s[longest])
