@@ -16,7 +16,7 @@ from test_answers import ASK, RECIPE, Run, told
 from scuhand_bt.dashboard.page_state import Page, banner
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.events.entry import Event
-from scuhand_bt.journal.events import Asked, JobStarted
+from scuhand_bt.journal.events import Answered, Asked, JobStarted
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.presence import Presence
@@ -187,6 +187,21 @@ def test_how_long_a_person_lets_a_run_stand_still_does_not_make_the_rest_of_it_l
     told_at(planned, 9160.0, Continued())
     told_at(planned, 9160.0, JobStarted(name="b", sample="b", attempt=1, workflow="w"))
     assert page.news(is_held=True)["left_s"] == 440.0, "and nothing of the rest went by meanwhile"
+
+
+def test_of_a_question_that_waits_overnight_two_minutes_count(planned: Journal) -> None:
+    page = Page(Follower(planned.path))
+    told_at(planned, 10.0, Asked(question="Is it?", choices=["done", "stop"]))
+    told_at(planned, 60.0, JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+    assert page.news(is_held=True)["left_s"] == 340.0, "whoever is there answers, and time goes by"
+    told_at(planned, 28_000.0, JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+    assert page.news(is_held=True)["left_s"] == 270.0, "and none after that"
+    told_at(planned, 28_000.0, Paused())
+    told_at(planned, 28_500.0, Answered(question="Is it?", answer="done"))
+    told_at(planned, 28_810.0, Continued())
+    assert page.news(is_held=True)["left_s"] == 270.0, "what a question and a pause share counts once"
+    told_at(planned, 28_830.0, judged("a"))
+    assert page.news(is_held=True)["left_s"] == 450.0, "the first took 150 s"
 
 
 def test_what_a_run_did_not_come_to_is_to_come_again_once_it_is_resumed(planned: Journal) -> None:

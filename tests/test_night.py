@@ -10,7 +10,7 @@ from conftest import Call, Desk, LabFolder
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.study.night import better_order, fates, in_words, read_night
-from scuhand_bt.study.odds import odds_of
+from scuhand_bt.study.odds import Odds, odds_of
 from scuhand_bt.study.stays import stays_in_words
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
 
@@ -50,6 +50,11 @@ def trial_of(plan: Plan, job_s: float) -> Trial:
     )
 
 
+def tried(plan: Plan, job_s: float) -> Odds:
+    """What eight such trials tell."""
+    return odds_of(plan, [trial_of(plan, job_s)] * 8)
+
+
 @pytest.mark.parametrize(
     ("text", "lasts"), [("20:00-08:00", timedelta(hours=12)), ("9:30 - 17:00", timedelta(hours=7.5))]
 )
@@ -68,7 +73,7 @@ def test_a_sample_behind_a_moment_that_needs_a_person_is_not_done(plan: Plan, de
     found = {fate.sample: fate.why for fate in fates(plan, odds, read_night("20:00-08:00"))}
     assert found["a"] is None
     assert "swap the sheet" in (found["m-1"] or "")
-    told = list(in_words(plan, desk.lab, odds, read_night("20:00-08:00")))
+    told = list(in_words(plan, desk.lab, odds, read_night("20:00-08:00"), lambda made: tried(made, 600.0)))
     assert told[0].startswith("In a night from 20:00 to 08:00 (12 h 00 min) with nobody there: 1 of 4 samples")
     assert told[1].startswith("Not m-1, m-2, m-3: a person is needed before, at 'change powder to")
 
@@ -82,7 +87,21 @@ def test_a_sample_that_ends_too_late_is_not_done(desk: Desk) -> None:
 
 def test_an_order_that_lets_more_be_done_is_named(plan: Plan, desk: Desk) -> None:
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
-    assert list(in_words(plan, desk.lab, odds, NIGHT))[-1] == "With `order: persons_together` it would be about 3."
+    said = list(in_words(plan, desk.lab, odds, NIGHT, lambda made: tried(made, 600.0)))
+    assert said[-1] == "With `order: persons_together` it would be 3, by as many dry runs."
+
+
+def test_another_order_is_named_only_for_what_its_own_dry_runs_say(plan: Plan, desk: Desk) -> None:
+    odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
+
+    def apart(made: Plan) -> Odds:
+        assert [job.name for job in made.jobs[:3]] == ["m-1", "m-2", "m-3"]
+        return odds_of(made, [trial_of(made, 300.0), trial_of(made, 1200.0)])  # which tells next to nothing
+
+    hours = read_night("20:00-21:00")
+    said = list(in_words(plan, desk.lab, odds, hours, apart))
+    assert "1 of 4 samples" in said[0]
+    assert not any(line.startswith("With") for line in said)
 
 
 def test_an_order_is_not_named_that_does_no_more_than_is_said_to_be_done(desk: Desk) -> None:
@@ -92,8 +111,10 @@ def test_an_order_is_not_named_that_does_no_more_than_is_said_to_be_done(desk: D
     assert [job.name for job in plan.jobs][:2] == ["y", "z"], "which take longer, by the forecast of skills"
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
     hours = read_night("20:00-20:22")
-    assert better_order(plan, desk.lab, odds, hours) == ("by_powder", 2)
-    said = list(in_words(plan, desk.lab, odds, hours))
+    better = better_order(plan, desk.lab, odds, hours)
+    assert better is not None
+    assert better.recipe.order == "by_powder"
+    said = list(in_words(plan, desk.lab, odds, hours, lambda made: tried(made, 600.0)))
     assert "2 of 4 samples" in said[0]
     assert not any(line.startswith("With") for line in said)
 
@@ -161,6 +182,11 @@ def test_what_a_dry_run_asks_a_person_nobody_answers_at_night(desk: Desk) -> Non
     for many, why in ((1, None), (2, "in 2 of 20 dry runs a person was asked for something before its end")):
         odds = odds_of(plan, [*[whole] * (20 - many), *[asked] * many])
         assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, None, why, why]
+
+
+def test_dry_runs_of_another_order_are_in_that_order(lab_folder: LabFolder) -> None:
+    setup = Setup(lab_folder.write("recipes/two.yaml", RECIPE), lab_folder.folder, order="persons_together")
+    assert list(trial(setup, 0).began_s)[:3] == ["m-1", "m-2", "m-3"]
 
 
 ASKING = """recipe: asking

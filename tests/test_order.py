@@ -70,6 +70,26 @@ def test_no_order_changes_the_sheet_less_often_than_the_fastest(ends: list[tuple
     assert changes(found) == min(map(changes, permutations(samples)))
 
 
+@pytest.mark.parametrize("order", ["by_powder", "fastest"])
+def test_an_order_that_saves_no_change_of_the_sheet_has_the_changer_filled_no_more_often(
+    lab_folder: LabFolder, order: str
+) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: {xrd_holder: 3, alumina_crucible: 2}")
+    lab_folder.write("trees/mix.yaml", MIX)
+    samples = """samples:
+  - {id: s0, workflow: scoop_and_dispense, source: beads}
+  - {id: s1, workflow: scoop_and_dispense, source: msg, container: alumina_crucible}
+  - {id: s2, workflow: scoop_and_dispense, source: beads, container: alumina_crucible}
+  - {id: s3, first: beads, second: msg, container: alumina_crucible, repeat: 2}
+"""
+    recipe = MIXED.partition("samples:")[0].replace("ORDER", order) + samples
+    lab = lab_folder.load()
+    plan = make_plan(load_recipe(lab_folder.write("recipes/mixed.yaml", recipe), lab), lab)
+    assert plan.swaps == 1
+    visits = {person.job: person.what for person in plan.persons if person.job is not None}
+    assert len(visits) == 3, "in an order of the same number of changes the changer is filled when no sheet is due"
+
+
 @given(st.lists(st.tuples(st.sampled_from("abcd"), st.floats(1.0, 100.0)), min_size=1, max_size=8))
 def test_persons_are_needed_within_as_short_a_time_as_there_is(given_samples: list[tuple[str, float]]) -> None:
     samples = [sample(str(number), lot, lot) for number, (lot, _) in enumerate(given_samples)]

@@ -124,7 +124,9 @@ def test_the_command_writes_the_page_and_refuses_another_kind_of_file(command: C
     assert command("plan", recipe, "--html", tmp_path / "plan.html", "--trials", "0").returncode == 2
     ended = command("plan", recipe, "--html", tmp_path / "plan.html", "--trials", "1")
     assert ended.returncode == 0, ended.stderr
-    assert "stay: the plan" in (tmp_path / "plan.html").read_text(encoding="utf-8")
+    page = (tmp_path / "plan.html").read_text(encoding="utf-8")
+    assert "stay: the plan" in page
+    assert "By 1 dry run on the simulated cell, which tells no interval" in page
     assert not list(lab.glob(".scuhand/runs/*"))
 
 

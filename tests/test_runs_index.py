@@ -132,3 +132,26 @@ def test_only_the_newest_runs_are_listed_unless_all_are_asked_for(
     assert len([line for line in out.splitlines() if "complete" in line]) == 2
     out = command("runs", "--lab", lab, "--all")[1]
     assert len([line for line in out.splitlines() if "complete" in line]) == 3
+
+
+@pytest.mark.parametrize("made", ["a file", "a journal"])
+def test_a_run_that_is_about_to_begin_is_said_to_be(tmp_path: Path, made: str, command: Call) -> None:
+    """As for seconds on a busy computer: what a process has that has written nothing yet is not damaged."""
+    lab = make_lab(tmp_path)
+    path = lab / ".scuhand" / "runs" / "begins.sqlite"
+    path.parent.mkdir(parents=True)
+    journal = None
+    with Presence(path):
+        path.touch()
+        if made == "a journal":
+            journal = Journal(path, durable=False)
+        (listed,) = summaries(path.parent)
+        assert (listed.state, listed.reason) == ("running", "it is about to begin")
+        for looks in ("show", "verify"):
+            looked = command(looks, "begins", "--lab", lab)
+            assert looked.returncode == 2
+            assert "it is about to begin: there is nothing of it to read yet; look again" in looked.stderr
+    if journal is not None:
+        journal.close()
+    (listed,) = summaries(path.parent)
+    assert listed.state == ("unreadable" if journal is None else "interrupted"), "of which nothing came"

@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -27,6 +28,7 @@ from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.study.change import changed, files_hash, plant_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import diff, optimised
+from scuhand_bt.study.plant_files import plant_files
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.store import open_store
@@ -100,14 +102,14 @@ def test_a_study_that_broke_off_goes_on_and_one_of_other_files_begins_anew(setup
         again = dict(all_trials(tasks, inline, store))
     assert (inline.ran, list(again)) == (3, tasks)
     assert all(again[task] == one for task, one in first.items())
-    other = replace(setup, controller="paper")
-    with open_store(kept, setup) as store:
-        dict(all_trials([(other, 0)], inline, store))
-    assert inline.ran == 4
+    for other in (replace(setup, controller="paper"), replace(setup, order="as_written")):
+        with open_store(kept, setup) as store:
+            dict(all_trials([(other, 0)], inline, store))
+    assert inline.ran == 5
     setup.recipe.write_text(RECIPE.replace("30 mg", "31 mg"), encoding="utf-8")
     with open_store(kept, setup) as store:
         dict(all_trials([(setup, 0)], inline, store))
-    assert inline.ran == 5
+    assert inline.ran == 6
 
 
 @pytest.mark.parametrize("file", ["recipes/two.yaml", "recipes/rows.csv", "robot/powders.yaml"])
@@ -144,6 +146,36 @@ def test_physics_of_ones_own_that_were_changed_are_tried_anew(
     assert tried == [True, False, True]
 
 
+def test_what_physics_of_ones_own_import_is_theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    for folder in ("of_mine", "of_mine/deep"):
+        (tmp_path / folder).mkdir()
+    texts = {
+        "of_mine/__init__.py": "",
+        "of_mine/damp.py": "import json\nimport numpy as np\nfrom scuhand_bt.sim.plant import Plant\nimport beside\n",
+        "of_mine/plants.py": "from . import damp\nfrom .deep import er\nimport nowhere\n",
+        "of_mine/deep/__init__.py": "",
+        "of_mine/deep/er.py": "import of_mine.plants\n",
+        "beside.py": "raise SystemExit('it was run')\n",
+        "unrelated.py": "",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    before = {plant_hash("of_mine.plants:Mine")}
+    (tmp_path / "unrelated.py").write_text("other = True", encoding="utf-8")
+    assert {plant_hash("of_mine.plants:Mine")} == before
+    for edited in ("of_mine/__init__.py", "of_mine/damp.py", "beside.py", "of_mine/deep/er.py"):
+        (tmp_path / edited).write_text(f"{texts[edited]}other = True", encoding="utf-8")
+        before.add(plant_hash("of_mine.plants:Mine"))
+    assert len(before - {""}) == 5
+    assert set(plant_files("of_mine.plants:Mine")) == {
+        "of_mine", "of_mine.damp", "of_mine.plants", "of_mine.deep", "of_mine.deep.er", "beside",
+    }, "what is installed beside is not"  # fmt: skip
+    assert set(plant_files("scuhand_bt.sim.plant:Plant")) == {"scuhand_bt.sim.plant"}, "its version is told anyway"
+    for name in [name for name in sys.modules if name.partition(".")[0] == "of_mine"]:
+        del sys.modules[name]
+
+
 def test_what_a_process_has_read_of_physics_before_their_file_was_changed_is_not_tried_for_them(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,7 +188,7 @@ def test_what_a_process_has_read_of_physics_before_their_file_was_changed_is_not
     came = trial(before, 0)
     own.write_text(f"{text}    # another one\n", encoding="utf-8")
     after = replace(before, physics=plant_hash(name))
-    with pytest.raises(SourceError, match="physics_of_today:Mine: its file has changed since; begin"):
+    with pytest.raises(SourceError, match="physics_of_today:Mine: its file, or one that it imports, has changed"):
         trial(after, 0)
     assert trial(before, 0) == came, "what began with them goes on"
 
@@ -480,8 +512,15 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
     shown = command("plan", setup.recipe, "--trials", 2).stdout
     assert "By 2 dry runs (intervals of 90 %): it takes " in shown
     assert "swap the sheet (two screws), wipe rollers and clamp (after " in shown
+    one = " ".join(command("plan", setup.recipe, "--trials", 1).stdout.split())
+    assert re.search(r"By 1 dry run, which tells no interval: it takes [^(]+\. ", one)
+    told = (
+        r"wipe rollers and clamp \(after [\d a-z]+\)\. So a person comes 2 times: for the start, and \d[\d a-z]+ after"
+    )
+    assert re.search(told, one)
     found = json.loads(command("plan", setup.recipe, "--trials", 1, "--json").stdout)
     assert found["odds"]["trials"] == 1
+    assert len(set(found["odds"]["duration_s"].values())) == 1, "one dry run tells no interval"
     assert set(found["odds"]["samples"]) == {"a", "b", "c"}
     assert json.loads(command("plan", setup.recipe, "--trials", 0, "--json").stdout)["odds"] is None
 

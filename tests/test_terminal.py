@@ -39,7 +39,7 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.observers import BatchObserver, Observers
 from scuhand_bt.run.options import Options
-from scuhand_bt.run.questions import MEANINGS
+from scuhand_bt.run.questions import MEANINGS, Who
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 from tests.test_journal import HEADER
@@ -120,7 +120,8 @@ def test_time_left_is_the_plan_stretched_by_what_is_done_and_a_pause_does_not_co
     cell = SimpleNamespace(
         **{name: getattr(session.cell, name) for name in ("balance", "believed", "hand")}, clock=clock
     )
-    view = LiveView(Console(file=io.StringIO()), cell, session.plan, Control(), "SIMULATED")  # type: ignore[arg-type]
+    control = Control()
+    view = LiveView(Console(file=io.StringIO()), cell, session.plan, control, "SIMULATED")  # type: ignore[arg-type]
     plan_s, first_s = session.plan.duration_s, session.plan.done_s["a"]
     clock.now_s = 5.0
     assert view.shown().left_s == pytest.approx(plan_s - 5.0), "nothing is known yet but the plan"
@@ -135,6 +136,21 @@ def test_time_left_is_the_plan_stretched_by_what_is_done_and_a_pause_does_not_co
     view.sample_ended(ran.sample("a"))  # as its container has gone
     view.sample_ended(ran.sample("b").model_copy(update={"verdict": "not run"}))
     assert view.shown().left_s == pytest.approx(2.0 * (plan_s - first_s) - 20.0)
+    view = LiveView(Console(file=io.StringIO()), cell, session.plan, control, "SIMULATED")  # type: ignore[arg-type]
+    clock.now_s = 0.0
+    asked = control.questions.ask("Is it?", ("done", "stop"))
+    assert asked is not None
+    view.shown()
+    clock.now_s = 28_000.0
+    assert view.shown().left_s == pytest.approx(max(0.0, plan_s - 120.0)), (
+        "as of what waits overnight two minutes count"
+    )
+    control.questions.give(asked.number, "done", Who("Ada"))
+    view.shown()
+    clock.now_s += first_s
+    view.sample_ended(ran.sample("a"))
+    stretched = (first_s + 120.0) / first_s
+    assert view.shown().left_s == pytest.approx(stretched * (plan_s - first_s)), "and no more"
 
 
 def test_a_run_tells_who_watches_that_it_stands_still(tmp_path: Path) -> None:

@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scuhand_bt.api.results import Result
-from scuhand_bt.journal.archive import Summary, frames, story, summaries, summary, told_story
+from scuhand_bt.journal.archive import (
+    ABOUT_TO_BEGIN,
+    Summary,
+    frames,
+    is_about_to_begin,
+    story,
+    summaries,
+    summary,
+    told_story,
+)
 from scuhand_bt.journal.copies import make_one_file
 from scuhand_bt.journal.export import canonical_of
 from scuhand_bt.journal.follow import Follower
@@ -62,17 +71,24 @@ class PastRun:
 
         return is_held(self.path) or listens(self.path)
 
+    @property
+    def is_about_to_begin(self) -> bool:
+        """Whether a process has it that has written nothing of it yet."""
+        return is_about_to_begin(self.path)
+
     def summary(self) -> Summary:
         """The run in a line: its state, how many samples are good. Not verified; a file that is none says why."""
         return summary(self.path)
 
     def problem(self) -> str | None:
         """Where its journal is no longer as it was written; None for one that is."""
+        self._require_begun()
         with open_verified(self.path) as (_, _, verified):
             return verified.problem
 
     def opened(self, head: str | None = None) -> AbstractContextManager[Contents]:
         """All that its journal holds, verified: what reports and proofs are made of. `head`: what its chain ends in."""
+        self._require_begun()
         return open_contents(self.path, head)
 
     def result(self) -> Result:
@@ -175,6 +191,11 @@ class PastRun:
                 what = f"the journal is not as it was written: {problem}"
                 raise SourceError([Problem(Mark(str(self.path)), what)])
             yield contents
+
+    def _require_begun(self) -> None:
+        if self.is_about_to_begin:
+            what = f"{ABOUT_TO_BEGIN}: there is nothing of it to read yet; look again in some seconds"
+            raise SourceError([Problem(Mark(str(self.path)), what)])
 
     def _heard(self, say: Callable[[], str | None]) -> None:
         from scuhand_bt.run.control import HEARD

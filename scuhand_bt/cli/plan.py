@@ -1,6 +1,6 @@
 """The command that shows what a recipe comes to: its jobs in their order, their odds, and when a person is needed."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -53,10 +53,14 @@ def plan(
     made, opened = the_plan(recipe, lab)
     loaded = opened.lab
     hours = _night(night, trials) if night is not None else None
+
+    def tried(of: "Plan") -> "Odds":
+        return _odds(of, loaded, trials, workers)
+
     notes = notes_of(made, opened, quiet=as_json, ways=bool(trials))
-    odds = _odds(made, loaded, trials, workers) if trials else None
+    odds = tried(made) if trials else None
     if html is not None and odds is not None:
-        _preview(made, loaded, odds, list(_of_persons(made, loaded, odds, hours)), html)
+        _preview(made, loaded, odds, list(_of_persons(made, loaded, odds, hours, tried)), html)
         return
     if as_json:
         night_values = _night_values(made, odds, hours) if odds is not None and hours is not None else None
@@ -95,10 +99,11 @@ def plan(
         out.print("After the start no person is needed.")
     for person in made.persons:
         when = odds.person_s(person.job or "") if odds is not None else None
-        at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
+        first, last = (format_duration(when.low), format_duration(when.high)) if when is not None else ("", "")
+        at = f" (after {first} to {last})" if first != last else f" (after {first})" if first else ""
         out.print(Text(f"A person is {person}{at}."))
     if odds is not None:
-        for line in _of_persons(made, loaded, odds, hours):
+        for line in _of_persons(made, loaded, odds, hours, tried):
             out.print(Text(line), soft_wrap=True)
 
 
@@ -117,23 +122,25 @@ def _night_values(made: "Plan", odds: "Odds", hours: "Night") -> dict[str, Any]:
 
 
 def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":
-    """By the first seeds, in the background; what fails there by itself says so."""
+    """By the first seeds, in the background and in the plan's order; what fails there by itself says so."""
     from scuhand_bt.study import Setup, all_trials, executor_of, files_hash, odds_of
 
     recipe, folder = made.recipe.path.absolute(), loaded.folder.absolute()
-    setup = Setup(recipe, folder, files=files_hash(recipe, folder))
+    setup = Setup(recipe, folder, order=made.recipe.order, files=files_hash(recipe, folder))
     with executor_of(workers, None) as executor:
         found = dict(all_trials([(setup, seed) for seed in range(trials)], executor))
     return odds_of(made, [found[setup, seed] for seed in range(trials)])
 
 
-def _of_persons(made: "Plan", lab: "Lab", odds: "Odds", hours: "Night | None") -> Iterator[str]:
+def _of_persons(
+    made: "Plan", lab: "Lab", odds: "Odds", hours: "Night | None", tried: "Callable[[Plan], Odds]"
+) -> Iterator[str]:
     """How often somebody comes, and what is done in hours in which nobody does."""
     from scuhand_bt.study import in_words, stays_in_words
 
     yield from stays_in_words(made, odds, hours)
     if hours is not None:
-        yield from in_words(made, lab, odds, hours)
+        yield from in_words(made, lab, odds, hours, tried)
 
 
 def _preview(made: "Plan", lab: "Lab", odds: "Odds", lines: Sequence[str], page: Path) -> None:

@@ -44,6 +44,8 @@ def _follow(its: "PastRun") -> None:
     now, lines = its.follow(), PlainLines(lambda line: out.print(Text(line), soft_wrap=True))
     with ExitStack() as opened:
         live = opened.enter_context(Live(console=out, auto_refresh=False, screen=True)) if out.is_terminal else None
+        while its.is_about_to_begin:
+            time.sleep(1 / LOOKS_PER_S)
         while True:
             is_going_on = its.is_going_on  # before the look: what was written until then is seen
             results = now.look()

@@ -25,7 +25,7 @@ from scuhand_bt.journal.events import (
 )
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import is_held
-from scuhand_bt.journal.reader import Contents, open_journal
+from scuhand_bt.journal.reader import NONE, Contents, open_journal
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
 from scuhand_bt.journal.runs_index import Indexed, read_index, stamps, write_index
@@ -36,6 +36,7 @@ RunState = Literal[
     "running", "waiting for a person", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"
 ]
 
+ABOUT_TO_BEGIN = "it is about to begin"
 _KINDS_OF_STATE = tuple(
     event.KIND for event in (RunBegun, SampleResult, Ended, Resumed, Paused, Continued, Asked, Answered)
 )
@@ -95,7 +96,20 @@ def summary(path: Path) -> Summary:
         with open_journal(path) as (database, _):
             return summary_of(path, database)
     except SourceError as error:
+        if is_about_to_begin(path):
+            return Summary(path.stem, "running", ABOUT_TO_BEGIN)
         return Summary(path.stem, "unreadable", error.problems[0].message)
+
+
+def is_about_to_begin(path: Path) -> bool:
+    """Whether a process has this run and has written nothing yet: on a busy computer it is so for seconds."""
+    if not is_held(path):
+        return False
+    try:
+        with open_journal(path) as (database, _):
+            return database.execute("SELECT 1 FROM entry LIMIT 1").fetchone() is None
+    except SourceError as error:
+        return error.problems[0].message == NONE
 
 
 def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
@@ -120,7 +134,7 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
                 is_paused = False
     state, reason, since = state_of(run, waiting, ended, is_paused=is_paused, is_held=is_held(path))
     if run is None:
-        return Summary(path.stem, state, "it had not begun")
+        return Summary(path.stem, state, ABOUT_TO_BEGIN if state == "running" else "it had not begun")
     planned = len(run.samples) if run.samples is not None else None
     return Summary(
         id=path.stem,

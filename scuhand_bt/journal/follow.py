@@ -35,6 +35,7 @@ from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import open_journal
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
+from scuhand_bt.journal.standing import Standing
 from scuhand_bt.journal.waiting import Waiting
 
 _OF_RUN = (
@@ -98,9 +99,9 @@ class Follower:
     samples: dict[str, SampleResult] = field(default_factory=dict)
     """What was said of each last, the newest last."""
     told_s: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Run time at which the attempt that `samples` has was first judged, and `stood_s` then."""
-    stood_s: float = 0.0
-    """How much of the run's time until now it has stood still, as a person wished."""
+    """Run time at which the attempt that `samples` has was first judged, and how much of that it had stood still."""
+    standing: Standing = field(default_factory=Standing)
+    """How much of the run's time it has stood still."""
     resumed: int = 0
     """How often it was."""
     job: JobStarted | None = None
@@ -128,7 +129,6 @@ class Follower:
     """Run time of the last entry."""
     at: str = ""
     """Wall time of it; ISO 8601."""
-    _paused_at_s: float = 0.0
     _seq: int = 0
     _state_seq: int = 0
 
@@ -146,6 +146,7 @@ class Follower:
             self._seq, self.time_s, self.at = seq, time_s, at
             event = parsed(kind, json.loads(payload))
             self.waiting.take(action, at, event)
+            (self.standing.answered if self.waiting.asked is None else self.standing.asked)(time_s)
             self._take(seq, action, event)
             if isinstance(event, ArmMoves):
                 self.move = time_s, event
@@ -213,11 +214,12 @@ class Follower:
                 self.samples[event.id] = event
                 # It is told again as its container has gone, and as the run ends: by then it had long been done.
                 if before is None or before.attempt != event.attempt:
-                    self.told_s[event.id] = self.time_s, self.stood_s
+                    self.told_s[event.id] = self.time_s, self.standing.until(self.time_s)
             case Weighing() | ContainerPlaced() | BracketClosed():
                 self._weigh_by(event)
             case Paused():
-                self.is_paused, self._paused_at_s = True, self.time_s
+                self.is_paused = True
+                self.standing.paused(self.time_s)
             case Continued():
                 self._goes_on()
             case Ended():
@@ -230,6 +232,5 @@ class Follower:
                 self.samples = {name: one for name, one in self.samples.items() if one.was_tried}
 
     def _goes_on(self) -> None:
-        if self.is_paused:
-            self.stood_s += self.time_s - self._paused_at_s
         self.is_paused = False
+        self.standing.continued(self.time_s)

@@ -22,6 +22,7 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.store import SCHEMA_VERSION, read_only
 from scuhand_bt.problems import Mark, Problem, SourceError
 
+NONE = "this is no journal of a run"
 _JSON_COLUMNS = ("inputs", "result", "payload", "state")
 
 
@@ -89,7 +90,7 @@ def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
                 what = f"a newer scuhand-bt wrote it (version {version}; this one reads up to {SCHEMA_VERSION})"
                 raise _problem(path, f"{what}: use that one")
             if version < 1:
-                raise _problem(path, "this is no journal of a run")
+                raise _problem(path, NONE)
             database, found = file, version
             while found < SCHEMA_VERSION:
                 database, found = MIGRATIONS[found](database), found + 1

@@ -2,13 +2,14 @@
 
 by_powder         by the lot that each begins with, in the order of first mention
 as_written        as the recipe says
-fastest           with as few changes of the sheet between samples as there can be
+fastest           with as few changes of the sheet between samples as there can be; by powder where that has as few
 persons_together  by powder, with the two longest stretches that need no person first and last, the longest first:
                   whoever changes the sheets is needed only between them. What takes no powder comes before them
 """
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 
 from scuhand_bt.recipe.sample import Sample
 
@@ -20,7 +21,9 @@ def in_order(order: str, samples: Sequence[Sample], duration_s: Callable[[Sample
     if order == "as_written":
         return list(samples)
     if order == "fastest":
-        return _with_fewest_changes(samples)
+        grouped, fewest = in_order("by_powder", samples, duration_s), _with_fewest_changes(samples)
+        # Of as many changes the changer might have to be filled once more.
+        return fewest if _changes(fewest) < _changes(grouped) else grouped
     groups: dict[str, list[Sample]] = defaultdict(list)
     for sample in samples:
         groups[_first(sample)].append(sample)
@@ -39,6 +42,11 @@ def _first(sample: Sample) -> str:
 
 def _last(sample: Sample) -> str:
     return sample.last_source.sheet_key if sample.last_source is not None else ""
+
+
+def _changes(samples: Sequence[Sample]) -> int:
+    """How often the sheet is changed between them."""
+    return sum(_last(one) != _first(next_one) for one, next_one in pairwise(one for one in samples if one.sources))
 
 
 def _with_fewest_changes(samples: Sequence[Sample]) -> list[Sample]:

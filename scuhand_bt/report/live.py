@@ -11,6 +11,7 @@ from rich.live import Live
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.standing import Standing
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.report.live_terminal import LiveTerminal
@@ -19,6 +20,7 @@ from scuhand_bt.report.watching import pace
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.questions import Question
 from scuhand_bt.tree.leaf import SkillLeaf
 from scuhand_bt.tree.nodes import failure_of
 
@@ -81,8 +83,8 @@ class LiveView(BatchObserver):
         self._results: dict[str, SampleResult] = {}
         self._told_s: dict[str, tuple[float, float]] = {}
         """Run time at which each was judged first, and how much of that the run had stood still."""
-        self._stood_s = 0.0
-        self._paused_at_s: float | None = None
+        self._standing = Standing()
+        self._asked: Question | None = None
         self._job: tuple[Job, int] | None = None
         self._root: Behaviour | None = None
         self._live = Live(
@@ -111,19 +113,19 @@ class LiveView(BatchObserver):
         before = self._results.pop(result.id, None)  # the newest last
         self._results[result.id] = result
         if result.was_tried and (before is None or before.attempt != result.attempt):
-            self._told_s[result.id] = self._cell.clock.now_s, self._stood_s
+            now_s = self._cell.clock.now_s
+            self._told_s[result.id] = now_s, self._standing.until(now_s)
 
     def paused(self) -> None:
-        self._paused_at_s = self._cell.clock.now_s
+        self._standing.paused(self._cell.clock.now_s)
 
     def continued(self) -> None:
-        if self._paused_at_s is not None:
-            self._stood_s += self._cell.clock.now_s - self._paused_at_s
-        self._paused_at_s = None
+        self._standing.continued(self._cell.clock.now_s)
 
     def shown(self) -> Shown:
         """What there is to see now."""
         asked, terminal = self._control.questions.waiting, self._control.terminal
+        self._note(asked)
         here = terminal if isinstance(terminal, LiveTerminal) else None
         results = list(self._results.values())
         return Shown(
@@ -143,6 +145,14 @@ class LiveView(BatchObserver):
             note=here.note if here is not None else "",
         )
 
+    def _note(self, asked: Question | None) -> None:
+        """A question is seen to wait, or none is."""
+        if asked is not self._asked:
+            self._standing.answered(self._cell.clock.now_s)
+            self._asked = asked
+        if asked is not None:
+            self._standing.asked(self._cell.clock.now_s)
+
     def _readings(self) -> str:
         reading, empty_mg = self._cell.balance.latest, self._cell.believed.pan_empty_mg
         said = "balance: no reading"
@@ -160,8 +170,8 @@ class LiveView(BatchObserver):
 
     def _time_left_s(self) -> float:
         """Of the whole plan; while the run stands still none of it goes by."""
-        now_s = self._cell.clock.now_s if self._paused_at_s is None else self._paused_at_s
-        keeps = pace(self._plan.done_s, dict(self._told_s), self._stood_s)  # a copy, as the run goes on meanwhile
+        now_s = self._cell.clock.now_s
+        keeps = pace(self._plan.done_s, dict(self._told_s), self._standing.until(now_s))  # a copy: the run goes on
         return max(0.0, keeps.ends_s(self._plan.duration_s) - now_s)
 
 

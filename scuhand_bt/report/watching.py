@@ -54,7 +54,7 @@ class Pace:
 def pace(planned_s: Mapping[str, float], told_s: Mapping[str, tuple[float, float]], stood_s: float) -> Pace:
     """By the samples that are done, of which `told_s` says when, and how long the run had stood still by then.
 
-    The plan's own until one is. How long a person has let a run stand still tells nothing of what is to come.
+    The plan's own until one is. How long a person has let a run stand still, or wait, tells nothing of what is to come.
     """
     last = max((name for name in told_s if name in planned_s), key=planned_s.__getitem__, default=None)
     if last is None or not planned_s[last]:
@@ -68,7 +68,7 @@ def pace_of(now: Follower, run: RunBegun) -> Pace:
     """That of a run that is followed."""
     planned_s = {one.id: one.done_s or 0.0 for one in run.samples or ()}
     done = {name: now.told_s[name] for name, one in now.samples.items() if one.was_tried}
-    return pace(planned_s, done, now.stood_s)
+    return pace(planned_s, done, now.standing.until(now.time_s))
 
 
 def time_left_s(now: Follower, run: RunBegun) -> float | None:

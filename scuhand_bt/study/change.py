@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,6 +22,7 @@ from scuhand_bt.lab import CELL_FILE
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.expansion import tables_named
 from scuhand_bt.run.resume import lab_files
+from scuhand_bt.study.plant_files import plant_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
@@ -41,11 +41,12 @@ def files_hash(recipe: Path, lab: Path) -> str:
 
 
 def plant_hash(plant: str | None) -> str:
-    """SHA-256 of the file that a plant (`module:Class`) stands in; empty for none, and where it is not found."""
-    with suppress(ImportError, ValueError, AttributeError, OSError):
-        spec = find_spec(plant.partition(":")[0]) if plant is not None else None
-        if spec is not None and spec.origin is not None:
-            return hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
+    """SHA-256 of the files that a plant (`module:Class`) is written in (`plant_files`); empty for none."""
+    if plant is None or not (files := plant_files(plant)):
+        return ""
+    with suppress(OSError):  # the first dry run says what is wrong with it
+        digests = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+        return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
     return ""
 
 

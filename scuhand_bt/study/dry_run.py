@@ -6,6 +6,7 @@ kept: the lab, the plan, its motions.
 
 import tempfile
 from collections import Counter, defaultdict
+from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -42,7 +43,7 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
     plan, lab, motion = _made(setup)
     plant = SOME_CELL if setup.plant is None else setup.plant
     if setup.physics and _read_as(plant) not in ("", setup.physics):
-        problem = f"{plant}: its file has changed since; begin these dry runs again, and a cluster's workers before"
+        problem = f"{plant}: its file, or one that it imports, has changed since; begin again, a cluster's workers too"
         raise SourceError([Problem(Mark("--plant", 0), problem)])
     SomeCell.seed = seed
     with tempfile.TemporaryDirectory(prefix="scuhand-trial-") as folder:
@@ -135,7 +136,8 @@ def _read_as(plant: str) -> str:
 def _made(setup: Setup) -> tuple[Plan, Lab, MotionPlanner]:
     with changed(setup.recipe, setup.lab, setup.changes) as (recipe, folder):
         lab = load_lab(folder)
-        plan = make_plan(load_recipe(recipe, lab), lab)
+        loaded = load_recipe(recipe, lab)
+        plan = make_plan(loaded if setup.order is None else replace(loaded, order=setup.order), lab)
         made = plan, lab, prepared_motion(plan, lab)
     if setup.files not in ("", files_hash(setup.recipe, setup.lab)):
         problem = "it, a table of it or its lab has changed since these dry runs began; begin them again"

@@ -1,7 +1,7 @@
 """What of a plan is done in hours in which nobody comes."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
@@ -78,12 +78,14 @@ def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
             yield Fate(job.name, ended.high, "it may take longer" if ended.high > night.lasts_s else None)
 
 
-def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> tuple[str, int] | None:
-    """An order of the recipe with which more samples are done, and how many, by the plan's own forecast of each."""
+def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Plan | None:
+    """The recipe in that of its orders with which, by the plan's own forecast of each, most more samples are done.
+
+    It is worth dry runs of its own: only these tell (`fates`).
+    """
     slower = odds.duration_s.high / plan.duration_s if plan.duration_s > 0.0 else 1.0
 
-    def done(order: str) -> int:
-        made = make_plan(replace(plan.recipe, order=order), lab)
+    def done(made: Plan) -> int:
         needed, many = {person.job for person in made.persons}, 0
         for job in made.jobs:
             if job.name in needed or made.done_s[job.name] * slower > night.lasts_s:
@@ -91,12 +93,12 @@ def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> tuple[str, i
             many += job.sample is not None
         return many
 
-    best = max(ORDERS, key=done)
-    return (best, done(best)) if done(best) > done(plan.recipe.order) else None
+    best = max((make_plan(replace(plan.recipe, order=order), lab) for order in ORDERS), key=done)
+    return best if done(best) > done(plan) else None
 
 
-def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Iterator[str]:
-    """What a person is told of it."""
+def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Plan], Odds]) -> Iterator[str]:
+    """What a person is told of it. `tried` makes as many dry runs of another order, if one may do more samples."""
     found = list(fates(plan, odds, night))
     fit = [fate for fate in found if fate.why is None]
     hours = f"from {night.clock(0.0)} to {night.clock(night.lasts_s)} ({format_duration(night.lasts_s)})"
@@ -109,5 +111,7 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Iterator[str]:
     for why, samples in reasons.items():
         yield f"Not {', '.join(samples)}: {why}."
     better = better_order(plan, lab, odds, night) if len(fit) < len(found) else None
-    if better is not None and better[1] > len(fit):
-        yield f"With `order: {better[0]}` it would be about {better[1]}."
+    if better is not None:
+        more = sum(fate.why is None for fate in fates(better, tried(better), night))
+        if more > len(fit):
+            yield f"With `order: {better.recipe.order}` it would be {more}, by as many dry runs."

@@ -38,7 +38,7 @@ RATES = 64
 
 @dataclass(frozen=True)
 class Range:
-    """What to expect of a figure: its median, and an interval."""
+    """What to expect of a figure: its median, and an interval; of one dry run, which tells none, its own figure."""
 
     low: float
     middle: float
@@ -140,13 +140,13 @@ def _of_jobs(plan: Plan, times_s: Sequence[Mapping[str, float]]) -> dict[str, Ra
 
 
 def _of_times(times_s: Sequence[float]) -> Range:
-    """Of one more run like these: times differ by factors."""
+    """Of one more run like these: times differ by factors, and one run does not tell by how much."""
     many = len(times_s)
-    if min(times_s) <= 0.0:
+    if many == 1 or min(times_s) <= 0.0:
         return _seen(times_s)
     logs = np.log(times_s)
-    chance = float(np.std(logs, ddof=1)) * math.sqrt(1.0 + 1.0 / many) if many > 1 else 0.0
-    half = math.hypot(float(t.ppf(0.5 + COVERED / 2.0, max(many - 1, 1))) * chance, WIDE * MODEL_SHARE)
+    chance = float(np.std(logs, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
+    half = math.hypot(float(t.ppf(0.5 + COVERED / 2.0, many - 1)) * chance, WIDE * MODEL_SHARE)
     middle = float(np.mean(logs))
     return Range(*(math.exp(at) for at in (middle - half, middle, middle + half)))
 

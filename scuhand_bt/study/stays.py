@@ -48,9 +48,10 @@ def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]
         return
     times = []
     for stay in found:
-        if night is not None:
-            span = f"from {night.clock(stay.from_s)} to {night.clock(stay.until_s)}"
-        else:
-            span = f"from {format_duration(stay.from_s)} to {format_duration(stay.until_s)} after it"
+        told = format_duration if night is None else night.clock
+        first, last = told(stay.from_s), told(stay.until_s)
+        at = "at " if night is not None else ""
+        span = f"from {first} to {last}" if first != last else f"{at}{first}"
+        span += " after it" if night is None else ""
         times.append(f"{span} ({len(stay.jobs)} {'moment' if len(stay.jobs) == 1 else 'moments'})")
     yield f"So a person comes {len(found) + 1} times: for the start, and {', '.join(times)}."

@@ -43,7 +43,8 @@ class Store:
         self._database.commit()
 
     def _key(self, setup: Setup) -> str:
-        tried = json.dumps([self._files, setup.controller, setup.plant, setup.changes])
+        ordered = [setup.order] if setup.order is not None else []
+        tried = json.dumps([self._files, setup.controller, setup.plant, setup.changes, *ordered])
         return hashlib.sha256(tried.encode()).hexdigest()
 
 

@@ -27,13 +27,15 @@ class Setup:
     recipe: Path
     lab: Path
     controller: str | None = None
+    order: str | None = None
+    """Another order of the samples than the recipe's."""
     plant: str | None = None
     """Physics by `module:Class`; None: `some_cell`'s, another one for each seed."""
     changes: Changes = ()
     files: str = ""
     """What recipe and lab are to be (`files_hash`), wherever and whenever they are read; empty: whatever they are."""
     physics: str = ""
-    """What the file of `plant` is to be (`plant_hash`), likewise."""
+    """What the files of `plant` are to be (`plant_hash`), likewise."""
 
 
 @dataclass(frozen=True)
