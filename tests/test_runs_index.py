@@ -14,6 +14,7 @@ from scuhand_bt.journal.archive import Summary, summaries
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.run_events import Ended, Resumed
 from scuhand_bt.journal.writer import Journal
+from scuhand_bt.run.resume import find_run
 from tests.test_journal import write_run
 
 
@@ -155,3 +156,13 @@ def test_a_run_that_is_about_to_begin_is_said_to_be(tmp_path: Path, made: str, c
         journal.close()
     (listed,) = summaries(path.parent)
     assert listed.state == ("unreadable" if journal is None else "interrupted"), "of which nothing came"
+
+
+def test_the_last_run_is_the_one_that_goes_on_though_another_has_ended_meanwhile(runs: Path) -> None:
+    journal = Journal(runs / "b.sqlite", durable=False)
+    journal.event(Resumed(last_at="", changes=[], version=""))
+    now_s = time.time()
+    for name, ago_s in (("a.sqlite", 60.0), ("b.sqlite", 90.0), ("b.sqlite-wal", 1.0), ("c.sqlite", 30.0)):
+        os.utime(runs / name, (now_s - ago_s, now_s - ago_s))
+    assert find_run(runs, "last").stem == "b"
+    journal.close()

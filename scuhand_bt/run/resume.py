@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,7 +40,7 @@ def find_run(folder: Path, name: str) -> Path:
     """The journal of a run by its id, a unique beginning of it, or `last`. Raises SourceError if there is none."""
     runs = sorted(folder.glob("*.sqlite"))
     if name == "last" and runs:
-        return max(runs, key=lambda path: path.stat().st_mtime)
+        return max(runs, key=_written_s)
     found = [path for path in runs if path.stem.startswith(name)] if name else []
     exact = [path for path in found if path.stem == name]
     if len(found) == 1 or exact:
@@ -49,6 +50,14 @@ def find_run(folder: Path, name: str) -> Path:
     else:
         what = f"there is no run '{name}'; `scuhand-bt runs` lists them"
     raise SourceError([Problem(Mark(str(folder)), what)])
+
+
+def _written_s(path: Path) -> float:
+    """When a journal was last written to: while its run goes on, that is the log beside it."""
+    written_s = path.stat().st_mtime
+    with suppress(FileNotFoundError):
+        written_s = max(written_s, path.with_name(f"{path.name}-wal").stat().st_mtime)
+    return written_s
 
 
 def checked_history(path: Path) -> History:
