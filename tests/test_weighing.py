@@ -22,6 +22,7 @@ from scuhand_bt.cell.weighing import (
     weighing_of,
 )
 from scuhand_bt.clock import Steps, T, Wake
+from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.events.weighings import BracketClosed, ContainerLifted
@@ -52,7 +53,7 @@ class Shown:
             Cell,
             SimpleNamespace(
                 clock=self,
-                spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1, weighed_twice="first")),
+                spec=SimpleNamespace(balance=BalanceSpec(readability_mg=0.1, weighed_twice="first")),
                 balance=self,
                 arm=SimpleNamespace(was_limp=False),
                 device=lambda name: SimpleNamespace(is_stopped=True),

@@ -93,7 +93,7 @@ class KnownStation:
     @property
     def has_ended(self) -> bool:
         """By itself, and has said so."""
-        return self.state == ENDED
+        return self.state.startswith(ENDED)
 
 
 @dataclass(frozen=True)

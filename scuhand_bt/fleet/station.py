@@ -74,6 +74,8 @@ class Station:
         self._resumed: set[str] = set()
         self._keys: dict[Path, str] = {}
         self._idle, self._said = 0, ""
+        self._waits = ""
+        """For what the next station here will have to, too."""
 
     def leave(self) -> None:
         """Take no more jobs, and end when the run that goes on has ended."""
@@ -96,7 +98,7 @@ class Station:
                     goes_on = False
                 if self._is_leaving.is_set() and not self._has_child:
                     with suppress(ConnectorException):
-                        await self._queue.tell(self.name, ENDED)
+                        await self._queue.tell(self.name, f"{ENDED}; it {self._waits}" if self._waits else ENDED)
                     return
                 if not goes_on:
                     await self._wait()
@@ -228,7 +230,8 @@ class Station:
             await self._start(self._orders / "resume.txt", "resume", run)
             return False
         what = f"{_came_to(history)}; `scuhand-bt resume {run}` goes on with it"
-        await self._note(f"has to wait for job {taken.id}: {what}", taken, run, what)
+        self._waits = f"has to wait for job {taken.id}: {what}"
+        await self._note(self._waits, taken, run, what)
         return False
 
     async def _start(self, log: Path, *words: str) -> None:
@@ -248,7 +251,7 @@ class Station:
     async def _over(self, taken: Taken, status: Status, run: str, said: str) -> bool:
         await self._queue.note(taken.id, run, said)
         await self._queue.finish(taken.id, status)
-        self._child = None
+        self._child, self._waits = None, ""
         self._tell(f"job {taken.id}: {status.value}: {said}")
         await self._enrol(load_lab(self._lab))  # a broken one takes no job
         return True
