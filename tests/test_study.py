@@ -437,6 +437,12 @@ def test_a_mass_that_was_tried_a_few_times_is_judged_by_its_neighbours_as_far_as
     assert apart[-1] < 0.1
 
 
+def test_the_command_tries_the_physics_that_it_is_told(command: Call, setup: Setup) -> None:
+    """A yield of nothing, where the simulation's own fills all."""
+    shown = command("study", setup.recipe, "--trials", 1, "--workers", 1, "--plant", "test_own_plant:Nothing").stdout
+    assert "scoop.nothing" in shown
+
+
 def test_three_trials_have_lumps_of_three_kinds() -> None:
     powder = shipped_powders()["titanium_dioxide"]
     kinds = set()

@@ -67,7 +67,8 @@ def study(
     check_controller(controller)
     made, opened = the_plan(recipe, lab)
     path, folder = recipe.absolute(), opened.lab.folder.absolute()
-    setup = Setup(path, folder, controller, plant, files=files_hash(path, folder), physics=plant_hash(plant))
+    files, physics = files_hash(path, folder), plant_hash(plant)
+    setup = Setup(path, folder, controller=controller, plant=plant, files=files, physics=physics)
     varied = read_vary(vary, setup.recipe, setup.lab) if vary is not None else None
     if varied is not None and controller is not None and "recipe.controller" in varied.vary:
         raise typer.BadParameter("it is what --vary names", param_hint="--controller")

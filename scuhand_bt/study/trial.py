@@ -5,7 +5,7 @@ It is made in a process of its own (`study/dry_run.py`), so that nothing here ne
 
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -26,6 +26,7 @@ class Setup:
 
     recipe: Path
     lab: Path
+    _: KW_ONLY
     controller: str | None = None
     order: str | None = None
     """Another order of the samples than the recipe's."""
