@@ -51,6 +51,12 @@ METRONOME = pytest.StashKey["Metronome"]()
 ATTEMPT = pytest.StashKey[int]()
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """The largest group goes to the first process; the others, which only compute, give way to it."""
+    if getattr(config, "workerinput", {}).get("workerid", "gw0") != "gw0":
+        os.nice(10)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """They run one after the other, beside those that only compute."""

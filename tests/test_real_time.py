@@ -1,6 +1,8 @@
 """What becomes of tests in real time that fail: an inner run, on a computer as busy as this one is told to be."""
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import real_time
@@ -120,3 +122,32 @@ def test_an_attempt_waits_until_the_load_has_fallen(
     inner(FAILS)
     assert len(slept_s) == 4
     assert tries(pytester) == 2, "the second attempt was made on a quiet computer"
+
+
+def test_those_in_real_time_run_one_after_the_other_in_a_process_that_the_others_give_way_to(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    monkeypatch.setenv("PYTHONPATH", str(Path(real_time.__file__).parent), prepend=os.pathsep)
+    pytester.makeini("[pytest]\nmarkers = real_time\n")
+    pytester.makepyfile(
+        """
+        import os, pytest
+        def note(kind):
+            with open("where", "a") as where: where.write(f"{kind} {os.getpid()} {os.nice(0)}\\n")
+        @pytest.mark.parametrize("number", range(6))
+        def test_that_computes(number): note("computes")
+        @pytest.mark.real_time
+        @pytest.mark.parametrize("number", range(8))
+        def test_in_real_time(number): note("real_time")
+        """
+    )
+    pytester.runpytest_subprocess("-p", "real_time", "-p", "xdist", "-n", "2", "--dist", "loadgroup").assert_outcomes(
+        passed=14
+    )
+    where = {tuple(line.split()) for line in (pytester.path / "where").read_text().splitlines()}
+    ((_, process, niceness),) = (each for each in where if each[0] == "real_time")
+    assert int(niceness) == os.nice(0)
+    others = [int(nice) for _, other, nice in where if other != process]
+    assert others
+    assert min(others) > os.nice(0)
