@@ -64,8 +64,11 @@ class Target:
 
 
 TARGETS = (
-    Target("verdict", "scuhand_bt/dosing/verdict.py", (), ("verdict", "dispense")),
+    Target("verdict", "scuhand_bt/dosing/verdict.py", (), ("verdict", "lumps", "dispense")),
     Target("bracket", "scuhand_bt/dosing/bracket.py", (), ("bracket",)),
+    Target("weighings about a container", "scuhand_bt/cell/pan_bracket.py", (), ("believed", "bracket")),
+    Target("load", "scuhand_bt/cell/load.py", (), ("believed",)),
+    Target("unseen", "scuhand_bt/dosing/unseen.py", (), ("dosing_knowledge", "rare_readings")),
     Target("weighing", "scuhand_bt/cell/weighing.py", (), ("weighing", "zero_steps")),
     Target("outcome", "scuhand_bt/run/outcome.py", (), ("outcome",)),
     Target(

@@ -41,7 +41,7 @@ EMPTY_MG = 25_000.0
 Zero = Callable[[float], float]
 
 
-STILL = Net(0.0, 0.0)
+STILL, STEADY = Net(0.0, 0.0), Drift(0.0, 0.0)
 
 
 class Scale:
@@ -259,6 +259,23 @@ def test_a_drift_in_an_interrupted_dose_that_chance_would_rarely_make_is_its_dou
     assert drift_of_dose([still, some, some], [20.0, 0.001], 0.1).rate == pytest.approx(0.035)
 
 
+def test_what_is_just_within_its_bound_may_be_chance() -> None:
+    less, more = Drift(1.0, 3.0), Drift(16.0, 4.0)  # 3 standard deviations apart
+    assert drift_of_dose([less, more], [10.0], 0.1) == Drift(0.0, pytest.approx(math.hypot(0.64 * 3.0, 0.36 * 4.0)))
+    still, some = Drift(0.0, 1.0), Drift(2.5, 1.0)  # 2.5 of them from none
+    assert not drift_of_dose([still, some, some], [1.0, 0.0], 0.1).is_doubted
+    moved_mg = 20.0  # 4 of them
+    bare, again = Gross(0.0, 3.0, 0.0), Gross(moved_mg, 4.0, 3.0)
+    loaded, lifted = Gross(1000.0, 0.1, 1.0), Gross(1000.0 + moved_mg, 0.1, 2.0)
+    assert close([STILL], [STILL], STEADY, bare, loaded, lifted, again, 0.0).stepped_mg == 0.0
+
+
+def test_each_drift_belongs_to_a_dose() -> None:
+    weighings = Gross(0.0, 0.1, 0.0), Gross(9.0, 0.1, 1.0), Gross(9.0, 0.1, 2.0), Gross(0.0, 0.1, 3.0)
+    with pytest.raises(ValueError, match="argument 2 is longer"):
+        close([STILL], [STILL, STILL], STEADY, *weighings, 0.1)
+
+
 BEFORE, LATER = Gross(1000.0, 0.3, 100.0), Gross(1050.0, 0.4, 115.0)
 READ_MG = 2.4
 """A walk of 1.2 mg in 15 s, so that BEFORE and LATER are 1.3 mg apart."""
@@ -316,6 +333,9 @@ def test_what_the_bare_pan_is_going_to_tell_counts_before_it_has_told() -> None:
     both_mg = alone_mg * later / math.hypot(alone_mg, later)
     assert against.uncertainty_mg(LATER) == pytest.approx(1.5 * both_mg)
     assert against.in_the_end_mg(0.1, Drift(0.0, 1.0)) == 0.1, "what is told alone is told no worse"
+    assert against.in_the_end_mg(0.0, Drift(0.0, 1.0)) == 0.0
+    sure = replace(against, later_mg=0.5)
+    assert sure.in_the_end_mg(1.0, Drift(0.0, 1.0)) == pytest.approx(1.5 / math.hypot(1.0, 2.0))
     for drift in (Drift(0.1, 1.0), Drift(0.0, 1.0, is_doubted=True)):
         assert against.in_the_end_mg(alone_mg, drift) == alone_mg, "it may grow with the container"
 

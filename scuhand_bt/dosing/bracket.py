@@ -195,8 +195,7 @@ def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_m
 def watch_s(before: Gross, now: Gross, tolerance_mg: float) -> float:
     """How long the pan is to be watched after a dose, so that the drift in it is told to a part of the tolerance."""
     doubt_mg = math.hypot(before.uncertainty_mg, now.uncertainty_mg) * (now.time_s - before.time_s)
-    wanted_s = doubt_mg / (WATCHED_SHARE * tolerance_mg) if now.time_s > before.time_s else 0.0
-    return min(max(wanted_s, SHORTEST_WATCH_S), LONGEST_WATCH_S)
+    return min(max(doubt_mg / (WATCHED_SHARE * tolerance_mg), SHORTEST_WATCH_S), LONGEST_WATCH_S)
 
 
 def dose_between(weighed: Sequence[tuple[Gross, Gross]], readability_mg: float) -> tuple[Net, Drift]:
