@@ -131,6 +131,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "several-sources": Finding("Several sources hold a powder of `from`.", "Write the name of the source."),
         "no-formula": Finding("A powder that is composed has no formula.", "`formula:` in robot/powders.yaml."),
         "no-purity": Finding("A lot that is composed has no purity.", "`purity:` at the source, by its certificate."),
+        "lot-assays": Finding(
+            "Two sources are of one lot, or of none, and their assays differ: a dose may come of either.",
+            "A `lot` for each, or one assay.",
+        ),
         "bad-excess": Finding("An excess is none: (excess 10 %).", "A share, from -50 % to 100 %."),
         "missing-element": Finding("No powder of `from` brings an element of the product.", "Name one that does."),
         "foreign-element": Finding(
