@@ -165,12 +165,23 @@ class Demand:
     source: Source
     needed_mg: float
     samples: int
+    discarded_mg: float
+    """What their scoops are to bring more, and is discarded before the last one: after that nothing lacks it."""
+
+    def doubt_of(self, mass_mg: float) -> str:
+        """Why so much may be too little, though samples need no more; "" where it is enough."""
+        if self.discarded_mg == 0.0 or self.needed_mg + self.discarded_mg <= mass_mg:
+            return ""
+        needs = f"its samples need {format_mass(self.needed_mg)} with losses"
+        gone = f"some {self.discarded_mg / 1000:.1f} g are discarded before the last one"
+        return f"{needs}, and as scoops bring more than a dose {gone}: it may run out"
 
 
 def demand_of(samples: Sequence[Sample], source: Source) -> Demand:
     """What these samples need of a source."""
     users = sum(any(one.name == source.name for one in sample.sources) for sample in samples)
-    return Demand(source, sum(needed_mg(sample, source) for sample in samples), users)
+    discarded = [mg for mg in (discarded_mg(sample, source) for sample in samples) if mg > 0.0]
+    return Demand(source, sum(needed_mg(sample, source) for sample in samples), users, sum(discarded[:-1]))
 
 
 def needed_mg(sample: Sample, source: Source) -> float:
@@ -311,22 +322,10 @@ def check_demand(
             if may_refill and most_mg <= source.amount_mg:
                 ways.append(f"let a person refill it on the way: refill: {_rounded(source.amount_mg, math.floor)}")
             problems.add(marks[name], f"{holds}, but {needs}", ", or ".join(ways), code="source-short")
-        elif source.refill_mg is None:
-            _warn_of_discarded(samples, source, demand, marks[name], problems)
-
-
-def _warn_of_discarded(
-    samples: Sequence[Sample], source: Source, demand: Demand, mark: Mark, problems: Problems
-) -> None:
-    """Where what is discarded after all samples but the last leaves too little for it."""
-    discarded = [mg for mg in (discarded_mg(sample, source) for sample in samples) if mg > 0.0]
-    gone_mg = sum(discarded[:-1])
-    if demand.needed_mg + gone_mg > source.amount_mg:
-        holds = f"'{source.name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
-        what = f"{holds}, its samples need {format_mass(demand.needed_mg)} with losses"
-        scoops = f"as scoops bring more than a dose some {gone_mg / 1000:.1f} g are discarded before the last one"
-        remedy = "more powder, `leftover: keep` or `return`, or see by `plan` what dry runs discard"
-        problems.warn(mark, f"{what}, and {scoops}: it may run out", remedy, code="source-discarded")
+        elif source.refill_mg is None and (doubt := demand.doubt_of(source.amount_mg)):
+            what = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}, {doubt}"
+            remedy = "more powder, `leftover: keep` or `return`, or see by `plan` what dry runs discard"
+            problems.warn(marks[name], what, remedy, code="source-discarded")
 
 
 def _rounded(mass_mg: float, towards: Callable[[float], int]) -> str:
