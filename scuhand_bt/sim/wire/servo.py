@@ -260,7 +260,7 @@ class Servo:
     def cut_power(self, now_s: float) -> None:
         """The supply is gone: the shaft stays where it is, as far as the gears hold it.
 
-        What a reboot loses is lost now: its twin may end before the supply is back, and is powered when it begins again.
+        What a reboot loses is lost now: its twin may end before the supply is back, and has power when it begins again.
         """
         self.step(now_s, force=True)
         self.reboot(now_s)
