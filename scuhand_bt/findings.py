@@ -88,6 +88,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "The hand does not open as wide as a powder is believed to need to come, or to be more than a little.",
             "Correct the powder's `belief` or the hand's `max_opening`.",
         ),
+        "small-load": _warning(
+            "A powder's `load_limit` is less than scoops can be held to: they may bring several times as much.",
+            "A larger `load_limit` in robot/powders.yaml, if the cone may hold that.",
+        ),
         "source-short": Finding(
             "A source holds less than its samples need, with losses.",
             "More powder, `refill` for a person to bring it on the way, or less samples.",
