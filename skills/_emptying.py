@@ -63,7 +63,7 @@ def empty_at(cell: Cell, station: str) -> Steps[None]:
     _let_into(cell, station, source, 0.0)  # whatever comes of it, the vessel has that lot in it
     yield from empty_cone(cell)
     # Else the next stroke, made for less than there is, would bring more than the cone may carry.
-    missed_mg = min(held_mg, believed.missed_mg(source.name))
+    missed_mg = min(held_mg, believed.missed_mg.get(source.name, 0.0))
     believed.returned(source.name, missed_mg)
     _let_into(cell, station, source, held_mg - missed_mg)
     cell.record.event(Discarded(expected_mg=held_mg - missed_mg, source=source.name, to=station))

@@ -75,10 +75,10 @@ class BelievedPowder:
         """Those whose scoops have brought nothing so often that no more are made."""
         return frozenset(name for name, loads in self.barren_loads.items() if loads >= BARREN_LOADS)
 
-    def missed_mg(self, source: str) -> float:
-        """What the last stroke in a source should have brought and is taken not to have found: it lies there still."""
-        layer = self.layers.get(source)
-        return layer.missed_mg if layer is not None else 0.0
+    @property
+    def missed_mg(self) -> Masses:
+        """By source, what its last stroke should have brought and is taken not to have found: it lies there still."""
+        return {name: layer.missed_mg for name, layer in self.layers.items()}
 
     # --- the cone and the sources
 
