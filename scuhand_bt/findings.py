@@ -88,6 +88,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "The hand does not open as wide as a powder is believed to need to come, or to be more than a little.",
             "Correct the powder's `belief` or the hand's `max_opening`.",
         ),
+        "small-load": _warning(
+            "A powder's `load_limit` is less than scoops can be held to: they may bring several times as much.",
+            "A larger `load_limit` in robot/powders.yaml, if the cone may hold that.",
+        ),
         "source-short": Finding(
             "A source holds less than its samples need, with losses.",
             "More powder, `refill` for a person to bring it on the way, or less samples.",
@@ -131,6 +135,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "several-sources": Finding("Several sources hold a powder of `from`.", "Write the name of the source."),
         "no-formula": Finding("A powder that is composed has no formula.", "`formula:` in robot/powders.yaml."),
         "no-purity": Finding("A lot that is composed has no purity.", "`purity:` at the source, by its certificate."),
+        "lot-assays": Finding(
+            "Two sources are of one lot, or of none, and their assays differ: a dose may come of either.",
+            "A `lot` for each, or one assay.",
+        ),
         "bad-excess": Finding("An excess is none: (excess 10 %).", "A share, from -50 % to 100 %."),
         "missing-element": Finding("No powder of `from` brings an element of the product.", "Name one that does."),
         "foreign-element": Finding(

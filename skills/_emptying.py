@@ -58,11 +58,15 @@ def empty_at(cell: Cell, station: str) -> Steps[None]:
     """Empty the cone into the vessel at a station, from which nothing is scooped."""
     yield from open_to_let_out(cell)
     yield from cell.move_to(station)
-    held_mg, source = cell.believed.cone_mg, cell.sources[cell.believed.cone_source or ""]
+    believed = cell.believed
+    held_mg, source = believed.cone_mg, cell.sources[believed.cone_source or ""]
     _let_into(cell, station, source, 0.0)  # whatever comes of it, the vessel has that lot in it
     yield from empty_cone(cell)
-    _let_into(cell, station, source, held_mg)
-    cell.record.event(Discarded(expected_mg=held_mg, source=source.name, to=station))
+    # Else the next stroke, made for less than there is, would bring more than the cone may carry.
+    missed_mg = min(held_mg, believed.missed_mg.get(source.name, 0.0))
+    believed.returned(source.name, missed_mg)
+    _let_into(cell, station, source, held_mg - missed_mg)
+    cell.record.event(Discarded(expected_mg=held_mg - missed_mg, source=source.name, to=station))
 
 
 def is_over(cell: Cell, source: Source) -> bool:

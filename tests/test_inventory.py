@@ -27,7 +27,7 @@ from scuhand_bt.lab_state.lab_db import MIGRATIONS, reading_lab_db, writing_lab_
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.inventory_conflicts import about_rim, conflicts, recall, require_resolvable, resolve
+from scuhand_bt.run.inventory_conflicts import Conflict, about_rim, conflicts, recall, require_resolvable, resolve
 from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import Setup, set_up
 from scuhand_bt.run.options import Options
@@ -208,6 +208,17 @@ def test_a_recipe_that_says_more_is_told_where_and_who_says_otherwise(desk: Desk
     assert refilled.endswith("the recipe says 5.0000 g")
 
 
+def test_what_is_discarded_of_the_inventorys_figure_is_told_where_it_is_asked_which_is_right(desk: Desk) -> None:
+    discarding = RECIPE.replace("samples:", "leftover: discard\nsamples:")
+    gone = "its samples need 150.0 mg with losses, and as scoops bring more than a dose some 2.0 g are discarded before"
+    (doubt,) = _doubts(desk, powder(2000.0), recipe=discarding)
+    assert f"2.0000 g of glass_beads/L7 by the inventory (run r1, today), {gone}" in doubt.what
+    assert doubt.question.endswith(f"or 2.0000 g (inventory)? Of 2.0000 g {gone} the last one: it may run out.")
+    assert [name for name, _ in doubt.answers] == ["recipe", "inventory"]
+    assert gone not in noted(desk, powder(2300.0), recipe=discarding)[0]
+    assert gone not in noted(desk, powder(100.0), recipe=discarding)[0], "that is too little whatever is discarded"
+
+
 def test_too_little_for_the_samples_is_said(desk: Desk) -> None:
     (asked,) = noted(desk, powder(100.0))
     assert "100.0 mg of glass_beads/L7 by the inventory (run r1, today), too little: its samples need 1" in asked
@@ -262,8 +273,8 @@ def test_unattended_every_doubt_is_a_refusal(desk: Desk) -> None:
     assert len(problems_of(lambda: require_resolvable(found, unattended=True))) == 1
 
 
-def _doubts(desk: Desk, *entries: StockEntry, recipe: str = RECIPE) -> list[object]:
-    return conflicts(plan_of(desk, recipe), desk.lab.cell, stock_of(*entries))  # type: ignore[return-value]
+def _doubts(desk: Desk, *entries: StockEntry, recipe: str = RECIPE) -> list[Conflict]:
+    return conflicts(plan_of(desk, recipe), desk.lab.cell, stock_of(*entries))
 
 
 class Answering:
@@ -308,6 +319,19 @@ def test_a_real_run_believes_the_inventory_where_it_agrees(cell: Cell, desk: Des
     assert (believed.cone_source, believed.cone_mg) == ("beads", 120.0)
     assert (believed.sheet, believed.sheets_used, believed.slots_used) == ("glass_beads/L7", 4, 3)
     assert believed.containers_used == {"pellet_die_13mm": 8, "xrd_holder": 2}, "what it does not say stays"
+
+
+def test_a_cone_that_was_not_seen_to_be_empty_is_no_empty_one_for_the_next_run(tmp_path: Path, desk: Desk) -> None:
+    """What it may hold after its arm was limp would fall out of it as the next scoop tips it."""
+    before = dry_run(tmp_path, RECIPE).session.cell
+    before.believed.cone_holds(before.sources["beads"], 2000.0)
+    before.believed.cone_spilled()
+    Inventory(tmp_path / "kept", "starter").keep(before, "r1")
+    after = dry_run(tmp_path, RECIPE).session.cell
+    recall(after, Inventory(tmp_path / "kept", "starter").stock(simulated=True))
+    assert (after.believed.cone_source, after.believed.cone_mg) == ("beads", 0.0), "a scoop lets it out before"
+    recall(after, stock_of(StockEntry("cone", mass_mg=0.0), StockEntry("sheet", "", "glass_beads", "L7", used=2)))
+    assert after.believed.cone_source is None, "a person says that it is empty"
 
 
 @pytest.mark.parametrize(("answer", "mass_mg"), [("recipe", 5000.0), ("inventory", 3000.0)])

@@ -108,6 +108,19 @@ def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_
     assert masses_mg["source:beads"] == pytest.approx(20_000.0 - put_mg, abs=1.0)
 
 
+def test_a_load_that_was_nothing_is_believed_in_its_mortar_still_when_it_is_discarded(tmp_path: Path) -> None:
+    """Else the next scoop, made for a bed of so much less, brought twice the load limit, and lost 3 g on the way."""
+    text = RECIPE.replace("WORKFLOW", "fill_crucible").replace("LEFTOVER", "leftover: discard")
+    text = text.replace("300 mg", "1500 mg").replace("20 g", "12 g").replace("  - {id: b, mass: 1500 mg}\n", "")
+    ran = dry_run(tmp_path, text, seed=1, controller=None, faults="faults: [{fault: scoop.nothing}]")
+    gone_mg = [cast(float, payload["expected_mg"]) for _, payload in events(ran, "discarded")]
+    world, believed = ran.session.world, ran.session.cell.believed
+    assert world is not None
+    assert gone_mg[0] == pytest.approx(0.0, abs=1.0)
+    assert sum(gone_mg) + believed.sources_mg["beads"] + 1500.0 == pytest.approx(12_000.0, abs=10.0)
+    assert world.masses_mg["spilled"] < 1.0
+
+
 def test_the_plan_shows_beside_the_waste_what_goes_into_the_vessel_that_the_recipe_names(
     tmp_path: Path,
 ) -> None:

@@ -75,6 +75,14 @@ def test_a_blocked_servo_overloads_shuts_down_and_only_a_reboot_brings_it_back()
     assert servo.write(64, b"\x01", 2.1) == 0
 
 
+def test_a_servo_whose_twin_ends_while_it_has_no_power_begins_again_without_its_turns_and_its_torque() -> None:
+    servo, again = Servo(9, position=2048 + 3 * 4096), Servo(9)
+    servo.put(64, 1, 1)
+    servo.cut_power(1.0)
+    again.kept = servo.kept
+    assert (again.shaft, again.position, again.has_torque) == (servo.shaft, 2048, False)
+
+
 def test_the_watchdog_stops_the_servo_and_refuses_goals_until_it_is_cleared() -> None:
     servo = Servo(2, XM430)
     servo.step(0.0)

@@ -75,6 +75,11 @@ class BelievedPowder:
         """Those whose scoops have brought nothing so often that no more are made."""
         return frozenset(name for name, loads in self.barren_loads.items() if loads >= BARREN_LOADS)
 
+    @property
+    def missed_mg(self) -> Masses:
+        """By source, what its last stroke should have brought and is taken not to have found: it lies there still."""
+        return {name: layer.missed_mg for name, layer in self.layers.items()}
+
     # --- the cone and the sources
 
     def source_holds(self, name: str, mass_mg: float) -> None:

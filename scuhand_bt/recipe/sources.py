@@ -1,7 +1,7 @@
 """The sources of a recipe: mortars with powder at stations, read and held against the lab."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Annotated
@@ -61,6 +61,7 @@ class SourcesReader:
                 )
             by_station[source.station] = name
         self._check_apart([source for name, source in sources.items() if by_station[source.station] == name])
+        self._check_assays(sources.values())
         return sources
 
     def _check_apart(self, sources: Sequence[Source]) -> None:
@@ -72,6 +73,18 @@ class SourcesReader:
                 what = f"the mortars of '{one.name}' and '{other.name}' stand {apart_mm:.0f} mm apart"
                 allowed = f"they need {room_mm:.0f} mm; move a station in robot/cell.yaml"
                 self.problems.add(self.source_marks[other.name], what, allowed, code="mortars-overlap")
+
+    def _check_assays(self, sources: Iterable[Source]) -> None:
+        """One lot has one assay: what is in the cone of it is dosed for a sample that names another mortar of it."""
+        assayed: dict[str, Source] = {}
+        for source in sources:
+            if source.purity_ratio is None:
+                continue
+            other = assayed.setdefault(source.sheet_key, source)
+            if any(getattr(source, name) != getattr(other, name) for name in Assay.model_fields):
+                what = f"'{other.name}' and '{source.name}' are one lot, {source.sheet_key}, and their assays differ"
+                remedy = "the same `purity` and `water`, or a `lot` of its own for each"
+                self.problems.add(self.source_marks[source.name], what, remedy, code="lot-assays")
 
     def _read_source(self, name: str, node: Node) -> Source | None:
         lab = self.lab

@@ -75,11 +75,10 @@ def recall(cell: Cell, stock: Stock) -> None:
             believed.vessel_holds(vessel.name, held.lot_key or None, held.mass_mg or 0.0)
     if (sheet := stock.get(("sheet", ""))) is not None:
         believed.sheet_is(sheet.lot_key or None, sheet.used or 1)
-    cone = stock.get(("cone", ""))
-    if cone is not None and (mass_mg := cone.mass_mg or 0.0) >= EMPTY_MG:
+    if (cone := stock.get(("cone", ""))) is not None and cone.powder:  # also of no mass: it was not seen to be empty
         same = [source for source in cell.sources.values() if source.sheet_key == cone.lot_key]
         if same:
-            believed.cone_holds(same[0], mass_mg)
+            believed.cone_holds(same[0], cone.mass_mg or 0.0)
     containers = {name: entry.used or 0 for (kind, name), entry in stock.items() if kind == "container"}
     kinds = cell.spec.changer.kinds
     is_counted = counted_otherwise(kinds, stock) is None  # else a person says that it is filled, before anything moves
@@ -133,11 +132,13 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
         plausible_mg = max(PLAUSIBLE_SHARE * max(source.amount_mg, known.mass_mg), 2 * source.powder.scoop_loss_mg)
         if abs(source.amount_mg - known.mass_mg) > plausible_mg:
             answers: tuple[tuple[str, Resolution], ...] = (("recipe", _believe_source(name, source.amount_mg)),)
+            question = f"How much powder is at {source.station}: {amount} (recipe) or {left} (inventory)?"
             if known.mass_mg >= enough_mg:
                 answers += (("inventory", _believe_source(name, known.mass_mg)),)
+                if source.refill_mg is None and (doubt := demand.doubt_of(known.mass_mg)):
+                    what, question = f"{what}, {doubt}", f"{question} Of {left} {doubt}."
             else:
                 what = f"{what}, too little: {needs}"
-            question = f"How much powder is at {source.station}: {amount} (recipe) or {left} (inventory)?"
             yield Conflict(mark, f"{what}; the recipe says {amount}", question, answers)
         elif known.mass_mg < demand.needed_mg and source.refill_mg is None:
             yield Conflict(mark, f"{what}, too little: {needs}; refill it, and {_set(source)}")

@@ -258,8 +258,12 @@ class Servo:
         self._boots_until_s = now_s + BOOT_S
 
     def cut_power(self, now_s: float) -> None:
-        """The supply is gone: the shaft stays where it is, as far as the gears hold it."""
+        """The supply is gone: the shaft stays where it is, as far as the gears hold it.
+
+        What a reboot loses is lost now: its twin may end before the supply is back, and has power when it begins again.
+        """
         self.step(now_s, force=True)
+        self.reboot(now_s)
         self.is_powered, self.velocity = False, 0.0
 
     def restore_power(self, now_s: float) -> None:
