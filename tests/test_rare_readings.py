@@ -13,6 +13,7 @@ from scuhand_bt.dosing.estimation import OPENING_ERROR_MM
 from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, SLACK_S, Knowledge
 from scuhand_bt.dosing.opening import Opening
 from scuhand_bt.dosing.unseen import hold_s
+from scuhand_bt.dosing.valve import FlowShape, ValvePath
 
 POWDERS = shipped_powders()
 
@@ -54,6 +55,23 @@ def test_an_opening_is_the_shorter_the_less_may_come_and_the_stronger_the_flow()
     holds_s = [hold_s(weak, 0.5, most_mg) for most_mg in (100.0, 30.0, 12.0, 3.0)]
     assert holds_s[0] == weak.until_next_s > holds_s[1] > holds_s[2] > holds_s[3] == LEAST_HOLD_S
     assert hold_s(strong, 0.5, 100.0) < hold_s(weak, 0.5, 100.0)
+
+
+@pytest.mark.parametrize(("from_mm", "to_mm"), [(0.0, 0.58), (0.5, 0.3), (0.2, 0.9)])
+@pytest.mark.parametrize("open_s", [0.1, 0.5])
+def test_what_an_opening_passes_is_what_the_valve_lets_through_on_its_way(
+    from_mm: float, to_mm: float, open_s: float
+) -> None:
+    """Of a tenth of a second, in which a valve does not come so far: thirteen times as much was reckoned with."""
+    valve = ValvePath(FlowShape(0.08, 2.5), 0.06, 4.0)
+    valve.command(-1.0, from_mm)
+    valve.advance(-1.0, 0.0)
+    passes = valve.passing(valve.shape, to_mm, open_s)
+    valve.command(0.0, to_mm)
+    opened = valve.advance(0.0, open_s)
+    valve.command(open_s, 0.0)
+    shut = valve.advance(open_s, open_s + 1.0)
+    assert passes == pytest.approx([opened[0] + shut[0], opened[1] + shut[1]], rel=0.03)
 
 
 def test_no_opening_waits_for_a_reading_that_is_late_or_lost_for_longer_than_the_constraint_has_it() -> None:
@@ -108,6 +126,17 @@ def test_a_stable_mean_may_take_forty_readings(monkeypatch: pytest.MonkeyPatch) 
     bench.drive(bench.cell.right_of_way.stable_mean(90.0))
     bench.dose("adaptive")
     assert (asked_s[:2], set(asked_s[3:])) == ([80.0, 90.0], {80.0})
+
+
+def test_readings_are_waited_for_until_their_balance_is_lost() -> None:
+    bench = Bench(POWDERS["glass_beads"], 50.0, setting=setting(2.0))
+    faults = bench.cell.balance.faults
+    faults.active = {"balance.silent": 0.0}
+    waiting = bench.cell.balance.stable_mean(bench.cell.balance.spec.settles_s)
+    while bench.clock.now_s < 15.0:  # seven readings of it; after ten it is lost
+        bench.clock.wait([next(waiting)._replace(until_s=bench.clock.now_s + 1.0)])
+    faults.active = {}
+    assert bench.drive(waiting).value_mg > 0.0
 
 
 def test_a_whole_run_waits_for_a_balance_that_tells_readings_rarely(tmp_path: Path) -> None:

@@ -371,8 +371,10 @@ def test_a_balance_that_took_long_to_be_stable_is_weighed_until_it_creeps_no_mor
     assert len(mean.times_s) == 3
 
 
-def test_a_quick_balance_is_weighed_once() -> None:
-    shown = Shown(25_000.0, 25_001.0, takes_s=5.0)
+@pytest.mark.parametrize(("takes_s", "period_s"), [(5.0, PERIOD_S), (34.0, 2.0)])
+def test_a_quick_balance_is_weighed_once_also_where_it_tells_readings_rarely(takes_s: float, period_s: float) -> None:
+    shown = Shown(25_000.0, 25_001.0, takes_s=takes_s)
+    shown.cell.spec.balance = BalanceSpec(readability_mg=0.1, period_s=period_s)
     assert shown.drive(weigh_changed(shown.cell, 0.0)).value_mg == 25_000.0
 
 

@@ -38,8 +38,9 @@ SCOOP_DOUBT = 0.15
 DROP_S = 30.0
 """Powder that drips from a valve that was shut does so once in this time."""
 STOOD_STILL = "the display stood still for longer than its noise allows: what came meanwhile nobody has seen"
-QUICK_S, CREEPS = 8.0, 0.15
-"""A balance that has called itself stable so soon does not creep; a slower one does, for that share of the time."""
+QUICK_S, QUICK_READINGS, CREEPS = 8.0, 18, 0.15
+"""A balance that has called itself stable so soon, or in so few readings, does not creep; a slower one does, for that
+share of the time."""
 HAND_S = 1.0
 """What a person takes to put a container down, besides."""
 
@@ -135,9 +136,10 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     shown_s = cell.clock.now_s
     mean = yield from cell.right_of_way.stable_mean(RESTS_S)
     took_s = mean.time_s - shown_s
-    if took_s > QUICK_S:
+    quick_s = max(QUICK_S, QUICK_READINGS * cell.spec.balance.period_s)
+    if took_s > quick_s:
         took_s = min(took_s, _stable_s(cell, shown_s) - shown_s)
-    while took_s > QUICK_S and mean.time_s - shown_s < 2.0 * took_s:
+    while took_s > quick_s and mean.time_s - shown_s < 2.0 * took_s:
         last = weighing_of(mean)
         yield from pause(cell.clock, CREEPS * took_s)
         mean = yield from cell.right_of_way.stable_mean()

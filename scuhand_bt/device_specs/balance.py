@@ -77,3 +77,8 @@ class BalanceSpec(Spec):
     def lost_after_s(self) -> float:
         """Without a word for this long, the balance is taken for lost."""
         return max(3.0, 10.0 * self.period_s)
+
+    @property
+    def awaited_s(self) -> float:
+        """Its next reading is waited for so long, if nobody says for how long: until it is lost, at least."""
+        return max(5.0, self.lost_after_s)

@@ -304,7 +304,7 @@ def balance(cell: CellSpec, clock: Clock) -> Iterator[Finding]:
             yield Finding("balance", "reading", _grams(reading.value_mg), "a reading", "ok")
             yield Finding("balance", "readability", f"{spec.readability_mg:g} mg", "as in robot/cell.yaml", "ok")
             yield _identity(device)
-            mean = carried_out(device.stable_mean(), clock)
+            mean = carried_out(device.stable_mean(spec.settles_s), clock)
             found = f"{_grams(mean.value_mg)} ± {mean.uncertainty_mg:.2f} mg"
             yield Finding("balance", "stability", found, "stable readings", "ok")
             if isinstance(device, SerialBalance):

@@ -272,8 +272,11 @@ class Balance(Device, Protocol):
     @property
     def latest(self) -> Reading | None: ...
 
-    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
-        """Wait for a reading that comes after now; SkillFailed device.lost if none does, balance.overload."""
+    def next_reading(self, timeout_s: float | None = None) -> Steps[Reading]:
+        """Wait for a reading that comes after now, for the spec's `awaited_s` if for no other time.
+
+        SkillFailed device.lost if none does, balance.overload.
+        """
         ...
 
     def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:

@@ -4,6 +4,8 @@ A sheet sticks as it bends, and a flow is stronger than believed; either is seen
 readings are rare an opening ends before the next one tells.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK, chance
@@ -36,8 +38,12 @@ def seen_s(known: Knowledge) -> float:
 
 def stuck_mg(known: Knowledge, opening_mm: float, open_s: float) -> float:
     """What an opening lets out that is shut after so long, where the sheet has stuck."""
-    strong = max(known.reference * (1.0 + min(known.spread, STRONG)), known.seen)
-    return strong * known.valve.passes(opening_mm + STUCK_MM, open_s)
+    return _strong(known) * known.valve.passes(opening_mm + STUCK_MM, open_s)
+
+
+def _strong(known: Knowledge) -> float:
+    """The flow's coefficient that a sheet which sticks is allowed for with."""
+    return max(known.reference * (1.0 + min(known.spread, STRONG)), known.seen)
 
 
 def begins_mm(known: Knowledge, most_mg: float) -> float:
@@ -69,11 +75,12 @@ def hold_s(known: Knowledge, opening_mm: float, most_mg: float) -> float:
     if period_s <= LEAST_HOLD_S:
         return known.until_next_s
     holds_s = np.geomspace(LEAST_HOLD_S, period_s, HOLDS)
-    way = np.array([powers(*valve.passing(opening_mm, each_s)) for each_s in holds_s.tolist()])
+    way = np.array([powers(*valve.passing(known.shape, opening_mm, each_s)) for each_s in holds_s.tolist()])
     is_allowed = chance(bank, *bank.coming(way), most_mg) <= RISK
     if valve.opening_mm == 0.0:
-        room_mg = most_mg - bank.mass_mg
-        is_allowed &= np.array([stuck_mg(known, opening_mm, each_s) <= room_mg for each_s in holds_s.tolist()])
+        stuck, room = replace(known.shape, threshold_mm=known.shape.threshold_mm - STUCK_MM), most_mg - bank.mass_mg
+        passed = np.array([valve.passing(stuck, opening_mm, each_s)[0] for each_s in holds_s.tolist()])
+        is_allowed &= _strong(known) * passed <= room
     allowed = np.flatnonzero(is_allowed)
     longest = int(allowed[-1]) if len(allowed) else 0
     return known.until_next_s if longest == HOLDS - 1 else float(holds_s[longest])

@@ -40,6 +40,12 @@ class FlowShape:
         """The opening with this phi."""
         return self.threshold_mm + float(max(value, 0.0) ** (1.0 / self.exponent))
 
+    def swept(self, from_mm: float, to_mm: float) -> tuple[float, float]:
+        """The integrals of phi [mm^(n+1)] and of its slope [mm^n] over the openings between two."""
+        low_mm, high_mm = (max(end_mm - self.threshold_mm, 0.0) for end_mm in sorted((from_mm, to_mm)))
+        more = self.exponent + 1.0
+        return (high_mm**more - low_mm**more) / more, high_mm**self.exponent - low_mm**self.exponent
+
     def closing(self, opening_mm: float, dead_time_s: float, speed_mm_per_s: float) -> float:
         """Integral of phi [mm^n s] from the command to shut until it is shut."""
         gap_mm = opening_mm - self.threshold_mm
@@ -93,10 +99,18 @@ class ValvePath:
             opening_mm, self._dead_time_s, self._speed_mm_per_s
         )
 
-    def passing(self, opening_mm: float, open_s: float) -> tuple[float, float]:
-        """The integrals of phi and its slope from an opening until it is shut, which it is told to be after so long."""
-        ramp_s = self.shape.value(opening_mm) / self._speed_mm_per_s
-        return self.passes(opening_mm, open_s), self.shape.slope(opening_mm) * (open_s + self._dead_time_s) + ramp_s
+    def passing(self, shape: FlowShape, opening_mm: float, open_s: float) -> tuple[float, float]:
+        """The integrals of phi and its slope until it is shut, if it is told to be so wide now, and shut after so long.
+
+        It may have to turn round on its way.
+        """
+        reach_mm = self._speed_mm_per_s * open_s
+        top_mm = min(max(opening_mm, self.opening_mm - reach_mm), self.opening_mm + reach_mm)
+        stays_s = open_s - abs(top_mm - self.opening_mm) / self._speed_mm_per_s
+        ways = np.add(shape.swept(self.opening_mm, top_mm), shape.swept(0.0, top_mm)) / self._speed_mm_per_s
+        held = [self._dead_time_s * phi(self.opening_mm) + stays_s * phi(top_mm) for phi in (shape.value, shape.slope)]
+        phi_s, slope_s = (ways + held).tolist()
+        return phi_s, slope_s
 
     def closing(self, wait_s: Wait) -> tuple[Wait, Wait]:
         """The integrals of phi and its slope until it is shut, if it is told to in `wait_s`."""

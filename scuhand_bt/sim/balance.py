@@ -82,7 +82,8 @@ class SimulatedBalance:
             return SkillFailed(Code.DEVICE_LOST, f"the balance has sent no reading for {self.spec.lost_after_s:g} s")
         return None
 
-    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
+    def next_reading(self, timeout_s: float | None = None) -> Steps[Reading]:
+        timeout_s = self.spec.awaited_s if timeout_s is None else timeout_s
         deadline_s = self._clock.now_s + timeout_s
         seen = self.news.count
         while self.news.count == seen:

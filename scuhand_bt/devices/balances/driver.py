@@ -112,11 +112,14 @@ class SerialBalance:
         """End the reading thread and close the port."""
         self._link.close()
 
-    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
-        """Wait for the next reading; SkillFailed device.lost if none comes, balance.overload.
+    def next_reading(self, timeout_s: float | None = None) -> Steps[Reading]:
+        """Wait for the next reading, for the spec's `awaited_s` if for no other time.
+
+        SkillFailed device.lost if none comes, balance.overload.
 
         A balance whose line is held back is not silent: it is waited for until that line is confirmed, or not.
         """
+        timeout_s = self.spec.awaited_s if timeout_s is None else timeout_s
         deadline_s = self._clock.now_s + timeout_s
         held_until_s = deadline_s + CONFIRMATIONS * self.spec.period_s
         seen = self.latest
