@@ -1,5 +1,6 @@
 """The dashboard: what its page is told is what the journal has, then and now, and a person answers by it."""
 
+import json
 import socket
 import time
 from contextlib import ExitStack
@@ -139,14 +140,15 @@ def test_a_replay_has_what_the_balance_showed_when_it_was_weighed_by(finished: A
 def test_what_is_left_of_a_run_is_its_plan_stretched_as_the_run_was_until_then(finished: Any) -> None:
     begun = Page(Follower(finished.journal, until_s=0.0)).news(is_held=True)
     planned = {row["id"]: row["done_s"] for row in begun["rows"] if "done_s" in row}
-    assert 0.0 < planned["a"] < planned["b"]
-    assert begun["left_s"] == planned["b"], "nothing is known yet but the plan"
+    (all_s,) = (json.loads(row["value"]) for row in read(finished.journal, "run") if row["key"] == "planned_s")
+    assert 0.0 < planned["a"] < planned["b"] < all_s, "the batch is finished after the last sample"
+    assert begun["left_s"] == all_s, "nothing is known yet but the plan"
     judged = next(row for row in read(finished.journal, "event") if row["kind"] == "sample")
     at_s = judged["time_s"] + 5.0
     then = Page(Follower(finished.journal, until_s=at_s)).news(is_held=True)
     stretch = judged["time_s"] / planned["a"]
     assert then["pace"] == {"planned_s": planned["a"], "at_s": judged["time_s"], "stretch": pytest.approx(stretch)}
-    assert then["left_s"] == pytest.approx(stretch * planned["b"] - then["time_s"])
+    assert then["left_s"] == pytest.approx(stretch * all_s - then["time_s"])
     assert Page(Follower(finished.journal)).news(is_held=False)["left_s"] is None
 
 

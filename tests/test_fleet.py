@@ -24,17 +24,22 @@ from running import make_lab
 
 from harness.fleet import chaos
 from harness.postgres import Server, server, tools
+from scuhand_bt.events.entry import Event
 from scuhand_bt.fleet.needs import Offer, missing, needs_of, offer_of
 from scuhand_bt.fleet.order import Submission, submission_of, write
-from scuhand_bt.fleet.queue import KnownStation, Queue, QueuedJob, choose, open_queue
+from scuhand_bt.fleet.queue import KnownStation, Queue, QueuedJob, Taken, choose, open_queue
 from scuhand_bt.fleet.station import Manner, Station
+from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.run_events import Continued, Paused, RunBegun
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.lab_state.inventory import Inventory, StockEntry
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from tests.test_journal import HEADER
 
 pytestmark = pytest.mark.xdist_group("postgres")
 RECIPE = """recipe: queued
@@ -459,7 +464,7 @@ def test_a_station_that_is_a_real_one_now_runs_no_dry_run_that_waits_for_it_and_
 
 
 def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then_marked(
-    database: str, tmp_path: Path
+    database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lab = make_lab(tmp_path / "lab")
     order = submission_of(plan_of(lab, count=8), simulated=True)
@@ -470,11 +475,23 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
             await queue.submit([here, but(here, key="another")])
             station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
 
-            def kill_it(jobs: list[QueuedJob]) -> bool:
+            async def kill_it(jobs: list[QueuedJob]) -> bool:
                 if jobs[0].run and (child := station._child) is not None and child.returncode is None:
                     child.send_signal(signal.SIGKILL)
-                return "was killed" in jobs[0].said
+                if "was killed" not in jobs[0].said:
+                    return False
+                before = looks[0]
+                await asyncio.sleep(1.0)
+                assert looks[0] - before <= 11, "it looks every 0.1 s, and not all the time"
+                return True
 
+            looks, taken = [0], queue.taken
+
+            async def looked(name: str) -> Taken | None:
+                looks[0] += 1
+                return await taken(name)
+
+            monkeypatch.setattr(queue, "taken", looked)
             await works(station, queue, kill_it)
             (journal,) = journals(lab)
             (state,) = [one.state for one in await queue.stations()]
@@ -486,6 +503,51 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
 
     run(check())
     assert len(journals(lab)) == 2
+
+
+def test_what_holds_up_a_run_is_said_in_the_queue_and_of_its_station(
+    database: str, tmp_path: Path, order: Submission
+) -> None:
+    lab = make_lab(tmp_path / "lab")
+    path = lab / ".scuhand" / "runs" / "night.sqlite"
+    begun = {**HEADER, "mode": "real devices", "simulated": False, "recipe_path": f"/queue/{order.order.key}/r.yaml"}
+    asked = "Is a fresh sheet in the hand?"
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("here",))])
+            await queue.take("here")
+            written = Journal(path, durable=False)
+
+            def writes(event: Event) -> None:
+                written.event(event)
+                written.flush()
+
+            writes(RunBegun.model_validate(begun))
+            station = Station(queue, lab, "here", Manner(operator="Ada"), print, look_s=0.1)
+
+            with Presence(path):
+                working = asyncio.ensure_future(station.work())
+                answers = f"waits for a person: {asked}; `scuhand-bt answer night` answers"
+                for event, said in (
+                    (None, ""),
+                    (Asked(question=asked, choices=["yes", "no"]), answers),
+                    (Answered(question=asked, answer="yes"), ""),
+                    (Paused(), "is paused; `scuhand-bt resume night` continues"),
+                    (Continued(), ""),
+                ):
+                    if event is not None:
+                        writes(event)
+                    state = f"runs job 1: {said}" if said else "runs job 1"
+                    while [one.state for one in await queue.stations()] != [state]:
+                        await asyncio.sleep(0.05)
+                    while [one.said for one in await queue.jobs(every=False, limit=9)] != [said or "goes on"]:
+                        await asyncio.sleep(0.05)
+                station.leave()
+                await working
+            written.close()
+
+    run(check())
 
 
 @pytest.mark.slow

@@ -23,6 +23,8 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.fleet.needs import offer_of
 from scuhand_bt.fleet.order import Order, write
 from scuhand_bt.fleet.queue import ENDED, Queue, Taken
+from scuhand_bt.journal.archive import state_of
+from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.history import History, read_history
 from scuhand_bt.journal.presence import Held, Presence, is_held
 from scuhand_bt.journal.reader import open_journal
@@ -73,6 +75,8 @@ class Station:
         self._is_leaving = asyncio.Event()
         self._resumed: set[str] = set()
         self._keys: dict[Path, str] = {}
+        self._now: Follower | None = None
+        """The run that goes on."""
         self._idle, self._said = 0, ""
         self._waits = ""
         """For what the next station here will have to, too."""
@@ -134,7 +138,8 @@ class Station:
 
     async def _wait(self) -> None:
         """Until the next look; less where the run ends before."""
-        waits = self._child.wait() if self._child is not None else self._is_leaving.wait()
+        child = self._child if self._has_child else None  # one that has ended would not be waited for
+        waits = child.wait() if child is not None else self._is_leaving.wait()
         done = asyncio.ensure_future(waits)
         await asyncio.wait([done], timeout=self._look_s)
         done.cancel()
@@ -186,7 +191,20 @@ class Station:
         if taken.job.abort_requested and journal is not None:
             with suppress(TimeoutError):
                 say_wish(journal, "stop")
-        await self._note(f"runs job {taken.id}", taken, run, "goes on")
+        does = self._doing(journal) if journal is not None else ""
+        await self._note(f"runs job {taken.id}" + (f": {does}" if does else ""), taken, run, does or "goes on")
+
+    def _doing(self, journal: Path) -> str:
+        """What holds up a run that goes on: the question that it waits with, or a pause; "" for nothing."""
+        if self._now is None or self._now.path != journal:
+            self._now = Follower(journal)
+        now = self._now
+        with suppress(SourceError):  # of one that is about to begin; or it is damaged, which its end tells
+            now.look()
+        state, question, _ = state_of(now.begun, now.waiting, now.ended, is_paused=now.is_paused, is_held=True)
+        if state == "waiting for a person":
+            return f"waits for a person: {question}; `scuhand-bt answer {journal.stem}` answers"
+        return f"is paused; `scuhand-bt resume {journal.stem}` continues" if state == "paused" else ""
 
     async def _not_begun(self, taken: Taken, order: Order) -> bool:
         """Nothing has moved for it: it begins, unless it was refused, or is not wanted any more."""

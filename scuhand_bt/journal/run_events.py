@@ -77,6 +77,8 @@ class RunBegun(Event):
     options: OptionsGiven = OptionsGiven()
     sources: dict[Text, SourceUsed] = Field(default_factory=dict)
     samples: list[SamplePlanned] | None = None
+    planned_s: float | None = None
+    """When all is to be done, also what comes after the last sample, by the plan's forecast, from the beginning."""
     operator: Text | None = None
     signed: bool = False
     """The operator has proven it by a PIN."""

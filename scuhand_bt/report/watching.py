@@ -72,8 +72,8 @@ def pace_of(now: Follower, run: RunBegun) -> Pace:
 
 
 def time_left_s(now: Follower, run: RunBegun) -> float | None:
-    """Run time that is left; None where that cannot be told, as of an older journal."""
-    done_s = max((one.done_s or 0.0 for one in run.samples or ()), default=0.0)
+    """Run time that is left; None where that cannot be told. Of an older journal that until the last sample is done."""
+    done_s = run.planned_s or max((one.done_s or 0.0 for one in run.samples or ()), default=0.0)
     return max(0.0, pace_of(now, run).ends_s(done_s) - now.time_s) if done_s and now.ended is None else None
 
 

@@ -116,6 +116,7 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
             )
             for sample in plan.recipe.samples
         ],
+        planned_s=round(plan.duration_s, 1),
         operator=person.name,
         signed=person.is_pin is not None,
         devices={

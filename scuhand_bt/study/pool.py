@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
     if dask is None:
         many, spawn = workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")
         try:
-            with ProcessPoolExecutor(many, spawn, _end_with_parent) as pool, _ends_at_once(pool, cancel_futures=True):
+            with ProcessPoolExecutor(many, spawn, _begin) as pool, _ends_at_once(pool, cancel_futures=True):
                 yield pool
         except BrokenExecutor:
             problem = f"one of {many} processes was killed, as for want of memory: take fewer, and try again"
@@ -58,8 +59,14 @@ def _ends_at_once(pool: Executor, **cancelling: bool) -> Iterator[None]:
         raise
 
 
+def _begin() -> None:
+    """In a process of the pool: it ends with its parent, and at a Ctrl-C, which a trial would take for its own."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _end_with_parent()
+
+
 def _end_with_parent() -> None:
-    """In a process of the pool: it would wait for ever for work from a program that was killed."""
+    """It would wait for ever for work from a program that was killed."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
