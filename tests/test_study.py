@@ -305,15 +305,19 @@ def test_a_study_that_breaks_off_while_its_processes_end_says_nothing_else(tmp_p
     assert ended.stderr.strip().endswith("KeyboardInterrupt")
 
 
-def test_a_ctrl_c_ends_a_study_in_the_midst_of_a_trial_that_takes_it_for_its_own(tmp_path: Path) -> None:
-    """As it is given in a terminal: to all of its processes."""
+@pytest.mark.parametrize(("handler", "ends"), [("default_int_handler", -signal.SIGINT), ("SIG_IGN", 0)])
+def test_a_ctrl_c_ends_a_study_in_the_midst_of_a_trial_that_takes_it_for_its_own(
+    tmp_path: Path, handler: str, ends: int
+) -> None:
+    """As it is given in a terminal: to all of its processes. In the background of a script it is ignored."""
     program = tmp_path / "study.py"
     program.write_text(
         "import os, signal, time\nfrom contextlib import suppress\nfrom scuhand_bt.study.pool import executor_of\n"
-        "def ctrl_c():\n    with suppress(KeyboardInterrupt):\n        os.killpg(0, signal.SIGINT)\n"
-        "        time.sleep(1.0)\n    time.sleep(600.0)\n"
-        "if __name__ == '__main__':\n    with executor_of(1, None) as executor:\n"
-        "        executor.submit(ctrl_c).result()\n",
+        "def ctrl_c(trial_s):\n    with suppress(KeyboardInterrupt):\n        os.killpg(0, signal.SIGINT)\n"
+        "        time.sleep(1.0)\n    time.sleep(trial_s)\n"
+        f"if __name__ == '__main__':\n    signal.signal(signal.SIGINT, signal.{handler})\n"
+        "    with executor_of(1, None) as executor:\n"
+        f"        executor.submit(ctrl_c, {600.0 if ends else 0.0}).result()\n",
         encoding="utf-8",
     )
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
@@ -325,7 +329,7 @@ def test_a_ctrl_c_ends_a_study_in_the_midst_of_a_trial_that_takes_it_for_its_own
         check=False,
         start_new_session=True,
     )
-    assert ended.returncode == -signal.SIGINT
+    assert ended.returncode == ends
 
 
 RANGES = {FLOW: {"from": "50", "to": "100"}, "recipe.samples.0.mass": {"from": "20 mg", "to": "60 mg"}}

@@ -60,8 +60,12 @@ def _ends_at_once(pool: Executor, **cancelling: bool) -> Iterator[None]:
 
 
 def _begin() -> None:
-    """In a process of the pool: it ends with its parent, and at a Ctrl-C, which a trial would take for its own."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    """In a process of the pool: it ends with its parent, and at a Ctrl-C, which a trial would take for its own.
+
+    Not where its parent goes on at one, as in the background of a shell's script.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     _end_with_parent()
 
 
