@@ -31,7 +31,7 @@ from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import parse_faults
-from scuhand_bt.specs import Source
+from scuhand_bt.specs import Container, Source
 from scuhand_bt.tree.leases import Leases
 
 ARM, CHANGER = object(), object()
@@ -148,6 +148,26 @@ def test_what_would_not_go_with_the_zone_free_either_is_not_told_as_the_zones_fa
     assert bench.clock.now_s == pytest.approx(ZONE_TIMEOUT_S, abs=0.2), "it might have gone, as far as anybody knew"
     assert bench.way.closed == {"pan"}
     assert not bench.way.is_crossed("pan", CHANGER), "nothing was planned through it"
+
+
+def test_what_a_taken_zone_bars_is_planned_again_once_something_is_otherwise(bench: Bench, starter: Lab) -> None:
+    """A resumed scoop planned its way out ten times a second while a container was changed, each time for 65 ms."""
+    holder = Container(id="h", **dict(starter.library.containers["xrd_holder"]))
+    planned_s: list[float] = []
+
+    def plan() -> None:
+        planned_s.append(bench.clock.now_s)
+        raise SkillFailed(Code.ARM_NO_PATH, "barred")
+
+    bench.have_the_pan()
+    with pytest.raises(SkillFailed, match=r"arm.no_path: barred"):
+        bench.do(
+            bench.cell.planned(plan),
+            bench.later(10.0, lambda: bench.cell.believed.brought(holder, from_changer=True)),
+            bench.later(20.0, bench.way.news.fire),
+            bench.later(30.0, lambda: bench.way.leave(CHANGER, ["changer"])),
+        )
+    assert planned_s == pytest.approx([0.0, 10.0, 30.0], abs=0.3)
 
 
 def test_a_motion_planned_before_keeps_the_zone_until_the_arm_is_out_of_it(bench: Bench) -> None:

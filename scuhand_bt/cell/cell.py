@@ -30,7 +30,7 @@ from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
 from scuhand_bt.motion.pouring import turned_back
 from scuhand_bt.record import Record
-from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, BalanceFigure, Container, Powder, PowderBelief, Source
 
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
@@ -287,7 +287,7 @@ class Cell:
         began_s, is_freed, is_obstructed = self.clock.now_s, False, False
         deadline_s = began_s + ZONE_TIMEOUT_S
         while True:
-            freed = Wake.on(self.right_of_way.news, min(deadline_s, self.clock.now_s + LOOK_S))
+            around, seen = self._around, self.in_the_way.points_m
             try:
                 found = plan(self._planner())
             except SkillFailed as failure:
@@ -309,7 +309,14 @@ class Cell:
                 return found
             if self.clock.now_s >= deadline_s:
                 raise self._fails_all_the_same(plan) or taken(closed, ZONE_TIMEOUT_S)
-            yield freed
+            # Until something is otherwise there is none; to plan may take as long as readings are apart.
+            while self._around == around and self.in_the_way.points_m is seen and self.clock.now_s < deadline_s:
+                yield Wake.on(self.right_of_way.news, min(deadline_s, self.clock.now_s + LOOK_S))
+
+    @property
+    def _around(self) -> tuple[frozenset[str], Container | None, float]:
+        """What a motion is planned by, besides where the arm stands and what is seen."""
+        return self.right_of_way.closed, self.believed.pan, self.hand.cone_diameter_mm
 
     def _fails_all_the_same(self, plan: "Callable[[MotionPlanner], T]") -> SkillFailed | None:
         """Why there is no such motion, where none is if every zone is free: what has a zone is not to blame then."""
