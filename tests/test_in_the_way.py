@@ -105,6 +105,22 @@ def test_the_arm_waits_or_stops_for_what_comes_and_goes_on_when_it_is_gone(tmp_p
     assert np.abs(bench.cell.arm.positions - bench.motion.standing_at("mortar_bay")).max() < 1e-9
 
 
+def test_a_watcher_that_is_blind_for_a_moment_while_another_has_a_zone_ends_nothing(tmp_path: Path) -> None:
+    bench, way = Bench(lab_that_sees(tmp_path, OVER_THE_MORTAR + ", from: 200 s}")), object()
+    camera, lost = bench.cell.device("camera"), SkillFailed("device.lost", "camera: it does not answer")
+    bench.cell.right_of_way.commands.update(arm=object(), changer=way)
+    bench.cell.right_of_way.enter(["pan"], way)
+
+    def goes() -> Steps[None]:
+        camera.fault = lost  # type: ignore[misc]
+        for wake in bench.cell.move_to("mortar_bay"):
+            camera.fault = lost if bench.clock.now_s < 5.0 else None  # type: ignore[misc]
+            yield wake
+
+    bench.do(goes())
+    assert min(now_s for now_s, moves, _ in bench.went if moves) == pytest.approx(5.0, abs=0.5)
+
+
 def test_what_stays_in_the_way_is_not_waited_for_without_end(tmp_path: Path) -> None:
     bench = Bench(lab_that_sees(tmp_path, OVER_THE_MORTAR + "}"))
     with pytest.raises(SkillFailed, match=rf"arm.no_path: something has been in the way for {TIMEOUT_S:g} s"):

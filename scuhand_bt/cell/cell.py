@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from operator import is_
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -287,7 +288,7 @@ class Cell:
         began_s, is_freed, is_obstructed = self.clock.now_s, False, False
         deadline_s = began_s + ZONE_TIMEOUT_S
         while True:
-            around, seen = self._around, self.in_the_way.points_m
+            around, seen = self._around, self.in_the_way.seen
             try:
                 found = plan(self._planner())
             except SkillFailed as failure:
@@ -310,7 +311,9 @@ class Cell:
             if self.clock.now_s >= deadline_s:
                 raise self._fails_all_the_same(plan) or taken(closed, ZONE_TIMEOUT_S)
             # Until something is otherwise there is none; to plan may take as long as readings are apart.
-            while self._around == around and self.in_the_way.points_m is seen and self.clock.now_s < deadline_s:
+            while (
+                self._around == around and all(map(is_, self.in_the_way.seen, seen)) and self.clock.now_s < deadline_s
+            ):
                 yield Wake.on(self.right_of_way.news, min(deadline_s, self.clock.now_s + LOOK_S))
 
     @property

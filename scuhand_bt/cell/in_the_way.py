@@ -45,6 +45,11 @@ class InTheWay:
         return [self._cell.devices[name] for name in self._cell.spec.watchers]  # type: ignore[misc]
 
     @property
+    def seen(self) -> list[Any]:
+        """What the watchers see now, or why they do not: the same objects for as long as that is the same."""
+        return [what for one in self._watchers for what in (one.points_m, one.fault)]
+
+    @property
     def points_m(self) -> Any:
         """What is seen now, (n, 3) or None; the same array for as long as it is the same. Their fault where one has it.
 
