@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from conftest import read
+from daily import first_daily
 from running import Ran, dry_run, make_lab
 
 from scuhand_bt.cell.cell import Cell
@@ -64,7 +65,7 @@ def told(ran: Ran) -> list[dict[str, Any]]:
     return [event["payload"] for event in read(ran.journal, "event") if event["kind"] == "balance_doubted"]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", first_daily(0, 1, 2))
 def test_a_filter_that_changes_within_a_dose_is_learnt_and_nothing_is_overshot(tmp_path: Path, seed: int) -> None:
     lab = make_lab(tmp_path / "lab", trees__twice=TWICE)
     ran = dry_run(tmp_path, RECIPE, lab=lab, plant=f"{__name__}:SlowerInTheDose", controller="adaptive", seed=seed)

@@ -176,6 +176,7 @@ def test_nothing_that_came_tells_no_delay(sound: Cell) -> None:
     assert shown_step(replace(sound, readings=heavy), bare, loaded, 10.0) is not None
 
 
+@pytest.mark.slow
 def test_a_persons_hand_hides_a_dead_time_and_nothing_else(tmp_path: Path, lab_folder: LabFolder) -> None:
     lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
     ran = dry_run(tmp_path, RECIPE, lab=lab_folder.folder, plant=f"{__name__}:Late")
@@ -585,6 +586,7 @@ def test_a_display_that_stands_still_for_longer_than_its_noise_allows_is_frozen(
     assert is_frozen(readings_mg, 0.1) is frozen
 
 
+@pytest.mark.slow
 def test_what_falls_on_a_frozen_display_is_not_taken_for_a_dose(tmp_path: Path) -> None:
     tally = Falsifier(tmp_path, recipes=("short",)).run(BY_NAME["frozen-until-lifted"], 1, 46004)
     assert tally.failed[Code.BALANCE_COARSE] == 1

@@ -110,6 +110,7 @@ def test_every_finding_is_explained_and_has_its_section(command: Call) -> None:
     assert json.loads(command("explain", "no-tare", "--json").stdout)["no-tare"]["is_warning"] is True
 
 
+@pytest.mark.slow
 def test_a_mortar_half_in_the_shield_is_found_before_a_run_refuses_it(command: Call, lab: LabFolder) -> None:
     shield = "  - {name: shield, box: [6 mm, 300 mm, 400 mm], at: [200 mm, 240 mm, 200 mm]}\n"
     cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")

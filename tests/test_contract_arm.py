@@ -226,11 +226,13 @@ def check(motion: StoppableTrajectory, at_s: float, course: Floats) -> None:
     assert len(course) * PERIOD_S <= motion.duration_s + 2 * PERIOD_S
 
 
+@pytest.mark.slow
 def test_random_stops_of_loads_keep_them_in_the_cone_in_simulation(carries: list[StoppableTrajectory]) -> None:
     for motion, at_s in random_stops(carries):
         check(motion, at_s, simulated_stop(motion, at_s, MOUNT))
 
 
+@pytest.mark.slow
 def test_random_stops_of_loads_keep_them_in_the_cone_on_the_wire(carries: list[StoppableTrajectory]) -> None:
     for motion in carries:
         with TwinArm(motion.start).stepped() as arm:

@@ -177,6 +177,7 @@ def test_the_state_of_faults_can_be_kept_and_taken_up() -> None:
 # --- what they do
 
 
+@pytest.mark.slow
 def test_a_fault_run_is_the_same_for_one_seed_and_says_what_came_and_what_did_not(tmp_path: Path) -> None:
     rules = ("fault: balance.draught, probability: 0.5", "fault: arm.lost, at: 10 h")
     exports = []

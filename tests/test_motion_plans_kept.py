@@ -62,9 +62,23 @@ def test_the_next_planner_of_the_same_cell_searches_for_nothing_and_answers_the_
 def test_a_cell_in_which_something_else_stands_is_planned_anew(tmp_path: Path, searches: list[object]) -> None:
     planned(tmp_path)
     searches.clear()
-    planned(tmp_path, LAB.cell.model_copy(update={"geometry": (*LAB.cell.geometry, POST)}))
+    planned(tmp_path, LAB.cell.model_copy(update={"geometry": [*LAB.cell.geometry, POST]}))
     assert searches
     assert len(list(tmp_path.glob("*.npz"))) == 2
+
+
+def test_another_balance_or_port_is_no_other_geometry_and_another_hand_is(
+    tmp_path: Path, searches: list[object]
+) -> None:
+    first = planned(tmp_path)
+    searches.clear()
+    arm = LAB.cell.arm.model_copy(update={"driver": "simulated", "port": "/dev/elsewhere"})
+    balance = LAB.cell.balance.model_copy(update={"readability_mg": 1.0})
+    assert planned(tmp_path, LAB.cell.model_copy(update={"arm": arm, "balance": balance})) == first
+    assert searches == []
+    longer = LAB.cell.hand.model_copy(update={"apex_offset_mm": 125.0})
+    planned(tmp_path, LAB.cell.model_copy(update={"hand": longer}))
+    assert searches
 
 
 def test_another_lab_of_the_same_cell_searches_for_nothing(
@@ -84,7 +98,7 @@ def test_another_lab_of_the_same_cell_searches_for_nothing(
 
 def test_a_plan_that_would_touch_something_is_not_used_whatever_file_it_is_in(tmp_path: Path) -> None:
     """The open cell's plans, under the name of those of the cell with a post in their way."""
-    crowded = LAB.cell.model_copy(update={"geometry": (*LAB.cell.geometry, POST)})
+    crowded = LAB.cell.model_copy(update={"geometry": [*LAB.cell.geometry, POST]})
     right = planned(tmp_path / "crowded", crowded)
     planned(tmp_path / "open")
     (mine,), (other,) = ((tmp_path / name).glob("*.npz") for name in ("crowded", "open"))

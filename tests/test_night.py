@@ -184,6 +184,7 @@ def test_what_a_dry_run_asks_a_person_nobody_answers_at_night(desk: Desk) -> Non
         assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, None, why, why]
 
 
+@pytest.mark.slow
 def test_dry_runs_of_another_order_are_in_that_order(lab_folder: LabFolder) -> None:
     setup = Setup(lab_folder.write("recipes/two.yaml", RECIPE), lab_folder.folder, order="persons_together")
     assert list(trial(setup, 0).began_s)[:3] == ["m-1", "m-2", "m-3"]
@@ -206,6 +207,7 @@ def test_a_trial_says_when_a_person_was_asked(lab_folder: LabFolder) -> None:
     assert 5.0 <= one.asked_s["a"] < one.began_s["finish the batch"]
 
 
+@pytest.mark.slow
 def test_plan_says_what_its_night_holds(lab_folder: LabFolder, command: Call) -> None:
     path = lab_folder.write("recipes/two.yaml", RECIPE)
     said = command("plan", path, "--trials", "2", "--workers", "1", "--night", "20:00-08:00")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from daily import first_daily
 
 from harness.kill import Batch, Kill, journals, run_child
 from harness.power_cut import Tally, cut_until_done, make_power_batch
@@ -79,7 +80,7 @@ def good(sample: dict[str, Any]) -> bool:
 
 
 @pytest.mark.parametrize("only", ["outage.zero_at_power_on", "outage.zero_moved"])
-@pytest.mark.parametrize("ticks", [(25,), (70,), (40, 20)])
+@pytest.mark.parametrize("ticks", first_daily([25], [70], [40, 20]))
 def test_a_dose_whose_balance_lost_its_zero_is_told_by_the_bare_pan(
     tmp_path: Path, only: str, ticks: Sequence[int]
 ) -> None:
@@ -109,6 +110,7 @@ def test_what_was_weighed_after_the_outage_is_in_the_weighing_record(tmp_path: P
     assert row["gross_lines"]
 
 
+@pytest.mark.slow
 def test_a_batch_whose_power_is_cut_again_and_again_calls_nothing_good_that_is_not(tmp_path: Path) -> None:
     tally = Tally()
     cut_until_done(make_power_batch(tmp_path, 1), random.Random(2), 6, tally)

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from conftest import Call, LabFolder, problems_of
+from daily import first_daily
 from numpy.random import Generator
 from running import Ran, Watching, dry_run, shared_planner
 
@@ -99,12 +100,13 @@ def test_a_sample_that_was_not_dosed_is_no_good_one_between_two_overshoots(tmp_p
     assert codes(ran.result) == told
 
 
-@pytest.mark.parametrize(("limit", "dosed"), [(0, 6), (1, 2), (3, 4)])
+@pytest.mark.parametrize(("limit", "dosed"), first_daily((3, 4), (0, 6), (1, 2)))
 def test_the_recipe_says_how_many(tmp_path: Path, limit: int, dosed: int) -> None:
     ran = run(tmp_path, {2, 3, 4, 5, 6}, SIX + f"overshoot_limit: {limit}\n")
     assert [code for code in codes(ran.result) if code != "not run"] == [None, *["dose.overshoot"] * (dosed - 1)]
 
 
+@pytest.mark.slow
 def test_a_sample_that_is_done_again_counts_once_and_by_its_last_container(tmp_path: Path) -> None:
     ran = run(tmp_path, {1, 3}, policy="redo")
     assert codes(ran.result) == [None] * 6, "twice over, and good the second time each"
@@ -114,7 +116,7 @@ def test_a_sample_that_is_done_again_counts_once_and_by_its_last_container(tmp_p
     assert codes(ran.result) == ["dose.overshoot", *[None] * 5], "over in both of its containers is one sample"
 
 
-@pytest.mark.parametrize(("later", "completes"), [(set[int](), True), ({3}, True), ({3, 4}, False)])
+@pytest.mark.parametrize(("later", "completes"), first_daily(({3, 4}, False), (set[int](), True), ({3}, True)))
 def test_a_run_that_was_stopped_for_it_is_resumed_and_counts_anew(
     tmp_path: Path, starter: Lab, later: set[int], completes: bool
 ) -> None:

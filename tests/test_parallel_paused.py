@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from daily import first_daily
 from running import Watching, make_lab, shared_planner
 
 from scuhand_bt.events.entry import Event, Note
@@ -100,7 +101,7 @@ def require_one_sound_dose(desk: Desk, result: Any) -> None:
     assert len(placed) == 1
 
 
-@pytest.mark.parametrize("at_s", [SWINGS_S, IN_THE_MORTAR_S, SETTLES_S])
+@pytest.mark.parametrize("at_s", first_daily(IN_THE_MORTAR_S, SWINGS_S, SETTLES_S))
 def test_both_are_halted_by_a_pause_settled_and_begun_again(desk: Desk, at_s: float) -> None:
     require_one_sound_dose(desk, desk.go(Wishing("pause_now", at_s)))
     kinds = [event["kind"] for event in read(desk.journal, "event")]
@@ -119,7 +120,7 @@ def test_both_come_to_their_end_before_a_pause_that_halts_none(desk: Desk) -> No
     assert max(ended_s) <= paused_s
 
 
-@pytest.mark.parametrize("at_s", [SWINGS_S, IN_THE_MORTAR_S])
+@pytest.mark.parametrize("at_s", first_daily(IN_THE_MORTAR_S, SWINGS_S))
 def test_a_run_that_was_stopped_there_is_resumed_to_its_end(desk: Desk, at_s: float) -> None:
     assert desk.go(Wishing("stop_now", at_s)).exit_code == 130
     require_one_sound_dose(desk, desk.go(Wishing("", 0.0), resumes=True))

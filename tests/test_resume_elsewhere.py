@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from conftest import Call
+from daily import first_daily
 from running import dry_run, make_lab
 
 DOSES = """
@@ -24,6 +25,7 @@ def lab(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_lab_that_was_moved_goes_on_with_its_runs(lab: Path, tmp_path: Path, command: Call) -> None:
     moved = tmp_path / "bench 2" / "lab"
     moved.parent.mkdir()
@@ -44,7 +46,9 @@ def test_a_copied_lab_goes_on_with_its_own_files_and_not_with_the_originals(
     assert "the lab's skills/park.py has changed" in err
 
 
-@pytest.mark.parametrize("name", ["trees/park.yaml~", "skills/#park.py#", "robot/.cell.yaml.swp", "trees/.#park.yaml"])
+@pytest.mark.parametrize(
+    "name", first_daily("trees/park.yaml~", "skills/#park.py#", "robot/.cell.yaml.swp", "trees/.#park.yaml")
+)
 def test_what_an_editor_leaves_is_no_change_of_the_lab(lab: Path, command: Call, name: str) -> None:
     if ".#" in name:
         (lab / name).symlink_to("someone@computer.1234:1")

@@ -536,6 +536,7 @@ def test_options_that_do_not_go_together_are_refused(
     assert said in refused.stderr
 
 
+@pytest.mark.slow
 def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, command: Call) -> None:
     setup.recipe.write_text(
         RECIPE.replace("samples:", "  msg: {station: mortar_bay_2, container: agate_mortar, "

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from conftest import Call
+from daily import first_daily
 from running import make_lab, shared_planner
 from test_rehearse import HEAD, OPEN
 
@@ -151,7 +152,7 @@ def test_the_balance_shows_nothing_that_is_not_on_disk(tmp_path: Path, lab: Lab,
         assert pan.gross_mg(0.0) == shown_mg > 1000.0, "it is off the pan, and the world is not saved yet"
 
 
-@pytest.mark.parametrize("moment_s", [0.0, 0.013, 0.1])
+@pytest.mark.parametrize("moment_s", first_daily(0.013, 0.0, 0.1))
 def test_of_twins_that_are_killed_while_they_save_all_that_they_have_said_is_on_disk(
     tmp_path: Path, lab: Lab, sources: dict[str, Source], moment_s: float
 ) -> None:

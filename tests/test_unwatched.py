@@ -15,6 +15,7 @@ from typing import Any, cast
 
 import pytest
 from conftest import REPOSITORY, Call, LabFolder
+from daily import first_daily
 from running import make_lab
 from test_journal import write_run
 from test_journal_store import wait_for
@@ -59,7 +60,7 @@ def ended(recipe: Path) -> tuple[str, int | None]:
     return summary(journal).state, codes[-1] if codes else None
 
 
-@pytest.mark.parametrize("where", ["| head -1", ">/dev/full", ">&-", ">/dev/full 2>&1"])
+@pytest.mark.parametrize("where", first_daily("| head -1", ">/dev/full", ">&-", ">/dev/full 2>&1"))
 def test_a_run_goes_on_to_its_end_whatever_becomes_of_its_output(recipe: Path, where: str) -> None:
     line = f"{' '.join(COMMAND)} {recipe} --dry-run {where}; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", line], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
@@ -114,7 +115,9 @@ def test_what_a_full_disk_does_not_take_was_not_told_and_is_said_to_be(tmp_path:
     assert done.stderr == "It could not be finished: [Errno 28] No space left on device.\n"
 
 
-@pytest.mark.parametrize("asks", [["export", "--csv"], ["export", "--json"], ["show"], ["show", "--json"], ["verify"]])
+@pytest.mark.parametrize(
+    "asks", first_daily(["show"], ["export", "--csv"], ["export", "--json"], ["show", "--json"], ["verify"])
+)
 def test_who_needs_no_more_of_a_journal_ends_the_command_quietly_and_a_full_disk_is_not_the_journals_damage(
     tmp_path: Path, asks: list[str]
 ) -> None:
@@ -237,7 +240,7 @@ def hanging(lab_folder: LabFolder, body: str) -> Path:
     return lab_folder.write("recipes/small.yaml", RECIPE)
 
 
-@pytest.mark.parametrize("how", HUNG)
+@pytest.mark.parametrize("how", first_daily(*HUNG))
 def test_a_skill_that_hangs_is_ended_with_code_3_and_named(lab_folder: LabFolder, how: str) -> None:
     body, said = HUNG[how]
     recipe = hanging(lab_folder, body)

@@ -42,6 +42,7 @@ def line_with(lab: LabFolder, text: str) -> int:
     return next(number for number, line in enumerate(lines, 1) if text in line)
 
 
+@pytest.mark.slow
 def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks_for_one(lab: LabFolder) -> None:
     stands(lab, ROOF)
     assert blocked(lab) == [], "the place itself can be reached"
@@ -117,6 +118,7 @@ def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and
     assert blocked(lab) == []
 
 
+@pytest.mark.slow
 def test_where_a_mortar_may_stand_is_told_in_the_figures_of_its_frame(lab: LabFolder) -> None:
     """What stands turned and shifted is written into the cell's file as it was drawn."""
     moved = "table:   {pivot: [260 mm, 0 mm, 0 mm], shift: [12 mm, -8 mm, 3 mm], yaw: 15 deg, "
@@ -132,6 +134,7 @@ def test_where_a_mortar_may_stand_is_told_in_the_figures_of_its_frame(lab: LabFo
     assert position_mm == pytest.approx((280.0, 200.0, 3.0), abs=0.1), "the nearest of the places about the arm"
 
 
+@pytest.mark.slow
 def test_a_mortar_is_proposed_to_stand_in_no_box_that_is_turned(lab: LabFolder) -> None:
     here = "mortar_bay:   {kind: mortar,  position: [200 mm,  240 mm, 0 mm]"
     lab.replace("robot/cell.yaml", here, here.replace("200 mm,  240 mm, 0 mm", "420 mm, 180 mm, 0 mm"))
@@ -146,6 +149,7 @@ def test_a_mortar_is_proposed_to_stand_in_no_box_that_is_turned(lab: LabFolder) 
     assert beside not in message
 
 
+@pytest.mark.slow
 def test_a_mortar_with_so_thin_a_floor_that_handle_and_wrist_come_too_low_is_proposed_on_a_stand(
     lab: LabFolder,
 ) -> None:
@@ -159,6 +163,7 @@ def test_a_mortar_with_so_thin_a_floor_that_handle_and_wrist_come_too_low_is_pro
     assert blocked(lab) == []
 
 
+@pytest.mark.slow
 def test_a_fresh_sheets_cone_that_is_wider_than_the_usual_one_must_come_everywhere_too(lab: LabFolder) -> None:
     """Between the mortar and a wall there is room for the usual cone, not for this one."""
     stands(lab, "  - {name: wall, box: [6 mm, 120 mm, 110 mm], at: [259 mm, 240 mm, 55 mm]}\n")

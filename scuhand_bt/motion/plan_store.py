@@ -1,7 +1,7 @@
 """Plans on disk: what was planned once for a cell is at hand for the next run in it.
 
-A file holds the plans of one geometry: its name is a hash of the URDF, the cell, the mortars, this package's own source
-and the libraries below it, so that a plan is looked for only where the same would be planned again. Nothing is believed
+A file holds the plans of one geometry: its name is a hash of the URDF, what a cell tells of motion, the mortars, this
+package's own source and the libraries below it, so that a plan is looked for only where the same would be planned again. Nothing is believed
 because it was found: the planner proves every plan anew before it is used (`MotionPlanner`).
 """
 
@@ -25,6 +25,10 @@ from scuhand_bt.specs import Mortar
 GEOMETRIES_KEPT = 32
 """Files, the latest; each takes a megabyte or two."""
 _LIBRARIES = ("coal", "numpy", "pin", "ruckig", "scipy")
+_MOVING = ("arm", "hand", "stations", "geometry", "zones")
+"""What a cell tells of motion; another balance, say, is none of it."""
+_WIRING = {"driver", "port", "options"}
+"""What an arm or a hand is reached by, not what it is."""
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """What reading a file that was cut off, or is none of these, raises."""
 
@@ -33,7 +37,8 @@ class PlanStore:
     """The kept plans of one geometry. A folder that cannot be read or written keeps nothing, and says nothing."""
 
     def __init__(self, folder: Path, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar]) -> None:
-        depends = (_source(), urdf, repr(cell), sorted((name, repr(mortar)) for name, mortar in mortars.items()))
+        moving = cell.model_dump(include=set(_MOVING), exclude={"arm": _WIRING, "hand": _WIRING})
+        depends = (_source(), urdf, repr(moving), sorted((name, repr(mortar)) for name, mortar in mortars.items()))
         self._path = folder / f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.npz"
         self._plans: dict[str, tuple[Floats, Floats]] = {}
         self._is_new = False
