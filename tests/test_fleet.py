@@ -560,6 +560,34 @@ def test_what_holds_up_a_run_and_how_much_of_it_is_left_is_said_in_the_queue_and
     run(check())
 
 
+def test_a_station_that_ends_with_its_run_at_a_ctrl_c_says_what_that_has_come_to(database: str, tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab")
+    order = submission_of(plan_of(lab, count=8), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("here",))])
+            station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
+
+            def interrupted(jobs: list[QueuedJob]) -> bool:
+                if not jobs[0].run:
+                    return False
+                child = station._child
+                assert child is not None
+                child.send_signal(signal.SIGINT)
+                return True
+
+            await works(station, queue, interrupted)
+            ((job,), (known,)) = await queue.jobs(every=False, limit=9), await queue.stations()
+            goes_on = f"`scuhand-bt resume {job.run}` goes on with it"
+            assert job.status == "doing"
+            assert job.said.startswith("interrupted (")
+            assert job.said.endswith(goes_on)
+            assert known.state == f"has ended; it has to wait for job {job.id}: {job.said}"
+
+    run(check())
+
+
 @pytest.mark.slow
 def test_a_job_that_is_cancelled_while_it_is_run_stops_after_its_sample(database: str, tmp_path: Path) -> None:
     lab = make_lab(tmp_path / "lab")

@@ -99,12 +99,13 @@ class Station:
             await self._require_one_name()
             await self._enrol(load_lab(self._lab))
             while True:
+                had_child = self._has_child
                 try:
                     goes_on = await self._look()
                 except ConnectorException as error:
                     self._tell(f"the queue's database is not reached ({error.__cause__}); trying again")
                     goes_on = False
-                if self._is_leaving.is_set() and not self._has_child:
+                if self._is_leaving.is_set() and not had_child:  # whose end this look has seen to
                     with suppress(ConnectorException):
                         await self._queue.tell(self.name, f"{ENDED}; it {self._waits}" if self._waits else ENDED)
                     return
@@ -249,9 +250,8 @@ class Station:
             return await self._over(taken, status, run, _came_to(history))
         if taken.job.abort_requested:
             return await self._over(taken, Status.ABORTED, run, f"cancelled; {_came_to(history)}")
-        if self._is_leaving.is_set():
-            return False
-        if ended is None and self._manner.resumes and run not in self._resumed:
+        resumes = self._manner.resumes and not self._is_leaving.is_set()
+        if ended is None and resumes and run not in self._resumed:
             self._resumed.add(run)
             self._say(f"job {taken.id}: {run} was killed, and is resumed")
             await self._start(self._orders / "resume.txt", "resume", run)
