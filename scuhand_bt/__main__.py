@@ -15,7 +15,10 @@ def main() -> None:
         from scuhand_bt import cli
 
         cli.main()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as error:
+        # A library in C that is interrupted while it is imported says so in its own way.
+        if not any(isinstance(one, KeyboardInterrupt) for one in (error, error.__cause__)):
+            raise
         print("Interrupted.", file=sys.stderr)
         sys.exit(ExitCode.INTERRUPTED)
 

@@ -42,14 +42,17 @@ def in_a_process(*arguments: object, environment: Mapping[str, str] = {}) -> sub
     )
 
 
+@pytest.mark.parametrize("is_in_c", [False, True])
 def test_ctrl_c_while_the_program_is_still_loading_is_a_line_and_code_130(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], is_in_c: bool
 ) -> None:
     class Impatient(MetaPathFinder):
         """Somebody who presses Ctrl-C as soon as the command line is looked for."""
 
         def find_spec(self, name: str, path: object, target: object = None) -> None:
             if name == "scuhand_bt.cli":
+                if is_in_c:
+                    raise ImportError("initialization failed") from KeyboardInterrupt()
                 raise KeyboardInterrupt
 
     monkeypatch.setattr(sys, "meta_path", [Impatient(), *sys.meta_path])

@@ -505,12 +505,18 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
     assert len(journals(lab)) == 2
 
 
-def test_what_holds_up_a_run_is_said_in_the_queue_and_of_its_station(
+def test_what_holds_up_a_run_and_how_much_of_it_is_left_is_said_in_the_queue_and_of_its_station(
     database: str, tmp_path: Path, order: Submission
 ) -> None:
     lab = make_lab(tmp_path / "lab")
     path = lab / ".scuhand" / "runs" / "night.sqlite"
-    begun = {**HEADER, "mode": "real devices", "simulated": False, "recipe_path": f"/queue/{order.order.key}/r.yaml"}
+    begun: dict[str, Any] = {
+        **HEADER,
+        "mode": "real devices",
+        "simulated": False,
+        "recipe_path": f"/queue/{order.order.key}/r.yaml",
+    }
+    begun["planned_s"] = 100.0
     asked = "Is a fresh sheet in the hand?"
 
     async def check() -> None:
@@ -529,23 +535,55 @@ def test_what_holds_up_a_run_is_said_in_the_queue_and_of_its_station(
             with Presence(path):
                 working = asyncio.ensure_future(station.work())
                 answers = f"waits for a person: {asked}; `scuhand-bt answer night` answers"
-                for event, said in (
-                    (None, ""),
-                    (Asked(question=asked, choices=["yes", "no"]), answers),
-                    (Answered(question=asked, answer="yes"), ""),
-                    (Paused(), "is paused; `scuhand-bt resume night` continues"),
-                    (Continued(), ""),
+                for at_s, event, said, left_s in (
+                    (0.0, None, "", 100.0),
+                    (0.0, Asked(question=asked, choices=["yes", "no"]), answers, 100.0),
+                    (12.0, Answered(question=asked, answer="yes"), "", 90.0),
+                    (45.0, Paused(), "is paused; `scuhand-bt resume night` continues", 60.0),
+                    (200.0, Continued(), "", 60.0),
+                    (232.0, Asked(question=asked, choices=["yes", "no"]), answers, 30.0),
                 ):
+                    written.now_s = lambda at_s=at_s: at_s
                     if event is not None:
                         writes(event)
                     state = f"runs job 1: {said}" if said else "runs job 1"
                     while [one.state for one in await queue.stations()] != [state]:
                         await asyncio.sleep(0.05)
-                    while [one.said for one in await queue.jobs(every=False, limit=9)] != [said or "goes on"]:
+                    told = [(said or "goes on", left_s)]
+                    while [(one.said, one.left_s) for one in await queue.jobs(every=False, limit=9)] != told:
                         await asyncio.sleep(0.05)
+                    assert [one.ahead_s for one in await queue.stations()] == [left_s]
                 station.leave()
                 await working
             written.close()
+
+    run(check())
+
+
+def test_a_station_that_ends_with_its_run_at_a_ctrl_c_says_what_that_has_come_to(database: str, tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab")
+    order = submission_of(plan_of(lab, count=8), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("here",))])
+            station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
+
+            def interrupted(jobs: list[QueuedJob]) -> bool:
+                if not jobs[0].run:
+                    return False
+                child = station._child
+                assert child is not None
+                child.send_signal(signal.SIGINT)
+                return True
+
+            await works(station, queue, interrupted)
+            ((job,), (known,)) = await queue.jobs(every=False, limit=9), await queue.stations()
+            goes_on = f"`scuhand-bt resume {job.run}` goes on with it"
+            assert job.status == "doing"
+            assert job.said.startswith("interrupted (")
+            assert job.said.endswith(goes_on)
+            assert known.state == f"has ended; it has to wait for job {job.id}: {job.said}"
 
     run(check())
 

@@ -78,6 +78,13 @@ def test_a_sample_behind_a_moment_that_needs_a_person_is_not_done(plan: Plan, de
     assert told[1].startswith("Not m-1, m-2, m-3: a person is needed before, at 'change powder to")
 
 
+def test_all_that_a_person_is_needed_for_at_a_moment_is_said(plan: Plan) -> None:
+    swap = next(person for person in plan.persons if person.job is not None)
+    both = replace(plan, persons=(*plan.persons, replace(swap, what="refill 'a'")))
+    found = {fate.sample: fate.why for fate in fates(both, tried(plan, 600.0), NIGHT)}
+    assert str(found["m-1"]).endswith(f": {swap.what}; refill 'a'")
+
+
 def test_a_sample_that_ends_too_late_is_not_done(desk: Desk) -> None:
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)

@@ -332,6 +332,23 @@ def test_a_ctrl_c_ends_a_study_in_the_midst_of_a_trial_that_takes_it_for_its_own
     assert ended.returncode == ends
 
 
+def test_a_ctrl_c_while_the_processes_of_a_study_begin_is_answered_by_none_of_them(tmp_path: Path) -> None:
+    program = tmp_path / "study.py"
+    program.write_text(
+        "import os, signal, time\nfrom contextlib import suppress\nfrom scuhand_bt.study.pool import executor_of\n"
+        "if __name__ == '__main__':\n    with suppress(KeyboardInterrupt), executor_of(1, None) as executor:\n"
+        "        executor.submit(time.sleep, 600.0).result()\n"
+        "else:  # as a process of it imports what it needs\n    os.killpg(0, signal.SIGINT)\n",
+        encoding="utf-8",
+    )
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    command = [sys.executable, program]
+    ended = subprocess.run(
+        command, capture_output=True, env=environment, timeout=30, check=False, text=True, start_new_session=True
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 RANGES = {FLOW: {"from": "50", "to": "100"}, "recipe.samples.0.mass": {"from": "20 mg", "to": "60 mg"}}
 
 

@@ -120,6 +120,7 @@ def queue(
     table = Table("job", "recipe", "station", "status", "by", "since", "run", "", show_edge=False)
     for job in found:
         status = f"{job.status}, to stop" if job.is_to_stop else job.status
+        status += f", {format_duration(job.left_s)} left" if job.left_s is not None else ""
         recipe = f"{job.recipe} (SIMULATED)" if job.simulated else job.recipe
         since = f"{job.at.astimezone():%Y-%m-%d %H:%M}"
         table.add_row(str(job.id), recipe, job.station, status, job.by, since, job.run, job.said)

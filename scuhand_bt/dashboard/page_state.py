@@ -11,12 +11,13 @@ from typing import Any
 from scuhand_bt.journal.archive import state_of
 from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.pace import pace_of, time_left_s
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.run_events import RunBegun, SamplePlanned
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.doses import tone_of
 from scuhand_bt.report.picture import in_words
-from scuhand_bt.report.watching import about, asked_of, inputs_of, pace_of, time_left_s, tree_of
+from scuhand_bt.report.watching import about, asked_of, inputs_of, tree_of
 from scuhand_bt.run.questions import MEANINGS
 
 PSEUDO_TERMINALS = "/dev/pts/"

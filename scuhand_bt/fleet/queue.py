@@ -7,7 +7,7 @@ database only.
 """
 
 import logging
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -57,7 +57,7 @@ WHERE scuhand_stations.identity = excluded.identity RETURNING name
 """
 _KNOWN = """
 SELECT name, offer, state, extract(epoch FROM now() - seen)::float AS silent_s,
-    count(job.id) AS jobs, coalesce(sum((job.args->>'duration_s')::float), 0) AS ahead_s
+    count(job.id) AS jobs, coalesce(sum((coalesce(job.args->'left_s', job.args->'duration_s'))::float), 0) AS ahead_s
 FROM scuhand_stations LEFT JOIN procrastinate_jobs AS job ON queue_name = name AND status IN ('todo', 'doing')
 GROUP BY name ORDER BY name
 """
@@ -84,7 +84,7 @@ class KnownStation:
     silent_s: float
     jobs: int
     ahead_s: float
-    """Forecast duration of its jobs."""
+    """Forecast duration of its jobs; of one that is run, what is left of it."""
 
     @property
     def is_there(self) -> bool:
@@ -111,6 +111,8 @@ class QueuedJob:
     """The run's id at its station, once it has begun."""
     said: str
     """What it came to, or what its station says of it."""
+    left_s: float | None
+    """Of one that has begun, as its station last said."""
     at: datetime
 
 
@@ -249,10 +251,10 @@ class Queue:
         """Whether there was a job that waits at another station, and that this one can do; it waits here now."""
         return bool(await self._database.execute_query_all_async(_TAKE_OVER, name=name))
 
-    async def note(self, number: int, run: str, said: str) -> None:
-        """What a job's run is, and what there is to say of it."""
+    async def note(self, number: int, news: Mapping[str, str | float]) -> None:
+        """What a job's `run` is, what there is to be `said` of it, and how much of it is left (`left_s`)."""
         query = "UPDATE procrastinate_jobs SET args = args || %(news)s WHERE id = %(number)s"
-        await self._database.execute_query_async(query, number=number, news=Jsonb({"run": run, "said": said}))
+        await self._database.execute_query_async(query, number=number, news=Jsonb(dict(news)))
 
     async def finish(self, number: int, status: Status) -> None:
         """A job is over."""
@@ -359,5 +361,6 @@ def _looked_at(row: dict[str, Any]) -> QueuedJob:
         simulated=args.get("simulated", False),
         run=args.get("run", ""),
         said=args.get("said", ""),
+        left_s=args.get("left_s") if row["status"] == "doing" else None,
         at=row["at"],
     )

@@ -8,6 +8,7 @@ interrupted is resumed, by a person or (`resumes`) once by itself; it is never b
 
 import asyncio
 import json
+import math
 import secrets
 import sqlite3
 import sys
@@ -26,6 +27,7 @@ from scuhand_bt.fleet.queue import ENDED, Queue, Taken
 from scuhand_bt.journal.archive import state_of
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.history import History, read_history
+from scuhand_bt.journal.pace import time_left_s
 from scuhand_bt.journal.presence import Held, Presence, is_held
 from scuhand_bt.journal.reader import open_journal
 from scuhand_bt.journal.run_events import RunBegun
@@ -39,6 +41,8 @@ LOOK_S = 2.0
 """How often a station looks at its queue and its run."""
 IDLE_LOOKS = 10
 """So many looks an idle station waits before it says anew what it has, and takes over what waits elsewhere."""
+LEFT_STEP_S = 10.0
+"""What is left of a run is said in steps of this: not at every look."""
 LAST_WORDS = 600
 """Characters of what a refused run has said."""
 
@@ -95,12 +99,13 @@ class Station:
             await self._require_one_name()
             await self._enrol(load_lab(self._lab))
             while True:
+                had_child = self._has_child
                 try:
                     goes_on = await self._look()
                 except ConnectorException as error:
                     self._tell(f"the queue's database is not reached ({error.__cause__}); trying again")
                     goes_on = False
-                if self._is_leaving.is_set() and not self._has_child:
+                if self._is_leaving.is_set() and not had_child:  # whose end this look has seen to
                     with suppress(ConnectorException):
                         await self._queue.tell(self.name, f"{ENDED}; it {self._waits}" if self._waits else ENDED)
                     return
@@ -191,20 +196,25 @@ class Station:
         if taken.job.abort_requested and journal is not None:
             with suppress(TimeoutError):
                 say_wish(journal, "stop")
-        does = self._doing(journal) if journal is not None else ""
-        await self._note(f"runs job {taken.id}" + (f": {does}" if does else ""), taken, run, does or "goes on")
+        does, left_s = self._doing(journal) if journal is not None else ("", None)
+        state = f"runs job {taken.id}" + (f": {does}" if does else "")
+        await self._note(state, taken, run, does or "goes on", left_s)
 
-    def _doing(self, journal: Path) -> str:
-        """What holds up a run that goes on: the question that it waits with, or a pause; "" for nothing."""
+    def _doing(self, journal: Path) -> tuple[str, float | None]:
+        """What holds up a run that goes on, the question that it waits with, or a pause, "" for nothing; what is left.
+
+        None where that cannot be told.
+        """
         if self._now is None or self._now.path != journal:
             self._now = Follower(journal)
         now = self._now
         with suppress(SourceError):  # of one that is about to begin; or it is damaged, which its end tells
             now.look()
         state, question, _ = state_of(now.begun, now.waiting, now.ended, is_paused=now.is_paused, is_held=True)
+        left_s = time_left_s(now, now.begun) if now.begun is not None else None
         if state == "waiting for a person":
-            return f"waits for a person: {question}; `scuhand-bt answer {journal.stem}` answers"
-        return f"is paused; `scuhand-bt resume {journal.stem}` continues" if state == "paused" else ""
+            return f"waits for a person: {question}; `scuhand-bt answer {journal.stem}` answers", left_s
+        return (f"is paused; `scuhand-bt resume {journal.stem}` continues" if state == "paused" else ""), left_s
 
     async def _not_begun(self, taken: Taken, order: Order) -> bool:
         """Nothing has moved for it: it begins, unless it was refused, or is not wanted any more."""
@@ -240,9 +250,8 @@ class Station:
             return await self._over(taken, status, run, _came_to(history))
         if taken.job.abort_requested:
             return await self._over(taken, Status.ABORTED, run, f"cancelled; {_came_to(history)}")
-        if self._is_leaving.is_set():
-            return False
-        if ended is None and self._manner.resumes and run not in self._resumed:
+        resumes = self._manner.resumes and not self._is_leaving.is_set()
+        if ended is None and resumes and run not in self._resumed:
             self._resumed.add(run)
             self._say(f"job {taken.id}: {run} was killed, and is resumed")
             await self._start(self._orders / "resume.txt", "resume", run)
@@ -267,19 +276,24 @@ class Station:
             )
 
     async def _over(self, taken: Taken, status: Status, run: str, said: str) -> bool:
-        await self._queue.note(taken.id, run, said)
+        await self._queue.note(taken.id, {"run": run, "said": said})
         await self._queue.finish(taken.id, status)
         self._child, self._waits = None, ""
         self._tell(f"job {taken.id}: {status.value}: {said}")
         await self._enrol(load_lab(self._lab))  # a broken one takes no job
         return True
 
-    async def _note(self, state: str, taken: Taken | None = None, run: str = "", said: str = "") -> None:
+    async def _note(
+        self, state: str, taken: Taken | None = None, run: str = "", said: str = "", left_s: float | None = None
+    ) -> None:
         """What this station does now, for who looks at the queue."""
         self._tell(state)
         await self._queue.tell(self.name, state)
-        if taken is not None and (run, said) != (taken.job.task_kwargs.get("run"), taken.job.task_kwargs.get("said")):
-            await self._queue.note(taken.id, run, said)
+        news: dict[str, str | float] = {"run": run, "said": said}
+        if left_s is not None:
+            news["left_s"] = LEFT_STEP_S * math.ceil(left_s / LEFT_STEP_S)
+        if taken is not None and not news.items() <= taken.job.task_kwargs.items():
+            await self._queue.note(taken.id, news)
 
     def _tell(self, line: str) -> None:
         if line != self._said:

@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.live import Live
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.journal.pace import pace
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.standing import Standing
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.report.live_terminal import LiveTerminal
 from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_grams, in_words
-from scuhand_bt.report.watching import pace
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.outcome import BatchResult

@@ -1,12 +1,12 @@
 """What a run shows in another terminal than its own, or on a page: the same picture, from its journal."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
 from scuhand_bt.journal.events import TreeNode
 from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.pace import time_left_s
 from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.picture import Asked, Node, Shown, in_grams
@@ -36,45 +36,6 @@ def shown_of(now: Follower, run: RunBegun, balance: tuple[float, float, bool] | 
         keys=f"scuhand-bt answer {name}" if asked is not None else keys,
         question=asked,
     )
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How a run keeps to its plan: what was to be done at `planned_s` was at `at_s`; the rest is stretched alike."""
-
-    planned_s: float
-    at_s: float
-    stretch: float
-
-    def ends_s(self, done_s: float) -> float:
-        """The run time at which is done what was planned to be so at `done_s`."""
-        return self.at_s + self.stretch * (done_s - self.planned_s)
-
-
-def pace(planned_s: Mapping[str, float], told_s: Mapping[str, tuple[float, float]], stood_s: float) -> Pace:
-    """By the samples that are done, of which `told_s` says when, and how long the run had stood still by then.
-
-    The plan's own until one is. How long a person has let a run stand still, or wait, tells nothing of what is to come.
-    """
-    last = max((name for name in told_s if name in planned_s), key=planned_s.__getitem__, default=None)
-    if last is None or not planned_s[last]:
-        return Pace(0.0, stood_s, 1.0)
-    at_s, stood_before_s = told_s[last]
-    stretch = (at_s - stood_before_s) / planned_s[last]
-    return Pace(planned_s[last], at_s + stood_s - stood_before_s, stretch)
-
-
-def pace_of(now: Follower, run: RunBegun) -> Pace:
-    """That of a run that is followed."""
-    planned_s = {one.id: one.done_s or 0.0 for one in run.samples or ()}
-    done = {name: now.told_s[name] for name, one in now.samples.items() if one.was_tried}
-    return pace(planned_s, done, now.standing.until(now.time_s))
-
-
-def time_left_s(now: Follower, run: RunBegun) -> float | None:
-    """Run time that is left; None where that cannot be told. Of an older journal that until the last sample is done."""
-    done_s = run.planned_s or max((one.done_s or 0.0 for one in run.samples or ()), default=0.0)
-    return max(0.0, pace_of(now, run).ends_s(done_s) - now.time_s) if done_s and now.ended is None else None
 
 
 def inputs_of(run: RunBegun, sample: str | None) -> Mapping[str, Any]:

@@ -56,12 +56,15 @@ def read_night(text: str) -> Night:
 
 def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
     """Each sample in its order: done by then, or why not. What needs a person stops all that comes after it."""
-    needed = {person.job: person.what for person in plan.persons if person.job is not None}
+    needed: dict[str, list[str]] = {}
+    for person in plan.persons:
+        if person.job is not None:
+            needed.setdefault(person.job, []).append(person.what)
     waits: str | None = None
     names = [job.name for job in plan.jobs]
     for job, following in zip(plan.jobs, [*names[1:], None], strict=True):
         if waits is None and job.name in needed:
-            waits = f"a person is needed before, at '{job.name}': {needed[job.name]}"
+            waits = f"a person is needed before, at '{job.name}': {'; '.join(needed[job.name])}"
         if job.sample is None:
             continue
         stopped, asked = odds.trials - odds.ended[job.name], odds.ended[job.name] - odds.alone[job.name]

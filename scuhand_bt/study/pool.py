@@ -3,14 +3,29 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from threading import Thread
+from typing import ParamSpec, TypeVar
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.study.store import Store
 from scuhand_bt.study.trial import Task, Trial, trials
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class _Processes(ProcessPoolExecutor):
+    """Its processes begin, with their imports, before a Ctrl-C reaches them: else each answers by a traceback."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a process inherits it, until `_begin`
+        try:
+            return super().submit(fn, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 @contextmanager
@@ -22,7 +37,7 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
     if dask is None:
         many, spawn = workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")
         try:
-            with ProcessPoolExecutor(many, spawn, _begin) as pool, _ends_at_once(pool, cancel_futures=True):
+            with _Processes(many, spawn, _begin) as pool, _ends_at_once(pool, cancel_futures=True):
                 yield pool
         except BrokenExecutor:
             problem = f"one of {many} processes was killed, as for want of memory: take fewer, and try again"
@@ -66,6 +81,7 @@ def _begin() -> None:
     """
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     _end_with_parent()
 
 
