@@ -94,8 +94,8 @@ class Adaptive:
         self._start_mg = self._weighed_s = 0.0
         """What was on the pan before; when there was a stable mean last."""
         self._vibration = request.powder.vibration
-        self._barren_s = 0.0
-        """Open and fully shaken, without powder."""
+        self._barren_s = self._barren_mg = 0.0
+        """Open and fully shaken, without powder; what there was as the opening began, or as powder came last."""
         self._fruitless = 0
         """Openings in a row that brought nothing."""
         self._has_come = False
@@ -147,6 +147,8 @@ class Adaptive:
         """What an opening and its look have told."""
         known = self._known
         gained_mg = known.bank.mass_mg - known.begin_mg
+        if not self._wants_fresh:
+            self._note_gain()
         expected_mg = known.reference * sum(row.phi_s for row in known.rows)
         came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), CAME_NOISES * known.noise.quiet_mg)
         self._has_come |= came
@@ -229,7 +231,7 @@ class Adaptive:
             return "reached"
         most_mg = known.most_mg if known.knows_balance else min(known.most_mg, bank.mass_mg + PROBE_MG)
         opening = Opening(known, most_mg, self._lump_mg())
-        barren_mg = bank.mass_mg
+        self._barren_mg = bank.mass_mg
         while True:
             hold_s = opening.hold_s(width_mm := opening.width_mm())
             score = yield from known.act(width_mm, self._vibration, hold_s)
@@ -238,14 +240,25 @@ class Adaptive:
                 return seen
             if self._vibration >= FULL:
                 self._barren_s += min(known.rows[-1].dt_s, hold_s)
-            if bank.mass_mg - barren_mg > max(COMES_MG, COMES * bank.mass_sd_mg):
-                self._barren_s, barren_mg = 0.0, bank.mass_mg
+            self._note_gain()
             if self._is_dry():
                 return "dry"
             if self._is_rest:
                 return "rest"
             if known.time_s - self._weighed_s > LONGEST_UNWEIGHED_S:
                 return "long"
+
+    @property
+    def _wants_fresh(self) -> bool:
+        """Whether a fresh load brings the rest sooner than what still comes of this one."""
+        mass_mg = self._known.bank.mass_mg
+        return self._known.most_mg - mass_mg > FAR_MG or self._given_up(mass_mg) == "empty"
+
+    def _note_gain(self) -> None:
+        """Whether powder has come: after short openings most is seen when the valve is shut."""
+        bank = self._known.bank
+        if bank.mass_mg - self._barren_mg > max(COMES_MG, COMES * bank.mass_sd_mg):
+            self._barren_s, self._barren_mg = 0.0, bank.mass_mg
 
     def _lump_mg(self) -> float:
         """What an opening should bring where lumps are shaken out singly; 0 elsewhere."""
