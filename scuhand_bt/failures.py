@@ -96,7 +96,7 @@ CATALOGUE: Mapping[str, Failure] = {
     ),
     Code.ARM_START_IN_COLLISION: Failure(
         "The arm touches something (in the model) where it stands, and cannot go out of it by itself.",
-        "Move the arm clear by hand, or correct the geometry in robot/cell.yaml.",
+        "Hold the arm, switch its supply off, lead it clear, supply on, resume; or correct robot/cell.yaml's geometry.",
         ("cell", "motion"),
     ),
     Code.ARM_JOINT_LIMIT: Failure(

@@ -100,6 +100,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A source holds what its samples need, but not what their scoops bring more, which is discarded.",
             "More powder, `refill`, or `leftover: keep` or `return`; `plan` shows by dry runs what is discarded.",
         ),
+        "source-lent": _warning(
+            "A source holds what its samples need, but not what others of its lot may take, as it is kept in the cone.",
+            "More powder, `refill`, the samples of each source one after the other, or `leftover: return`.",
+        ),
         "out-of-reach": Finding(
             "The arm does not reach a place with the cone upright.", "`scuhand-bt reach` draws it."
         ),

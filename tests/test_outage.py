@@ -22,7 +22,9 @@ from scuhand_bt.report.weighing_record import weighing_csv
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import Rehearsal
+from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.sim.outage import SAG_RAD
 
 pytestmark = pytest.mark.xdist_group("outage")  # one process makes what all of them share
 
@@ -261,6 +263,20 @@ def test_a_limp_arm_and_a_changer_gone_home_are_no_harm(tmp_path: Path) -> None:
         run.cut(within, 10)
         assert run.resume() == 0
         assert good(run.sample())
+
+
+@pytest.mark.parametrize(("within", "at_tick"), [("scoop", 42), ("open_cone", 10)])
+def test_an_arm_that_sank_with_its_cone_in_a_mortar_goes_out_of_what_it_touches_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, within: str, at_tick: int
+) -> None:
+    sink = SimulatedArm.sink
+    monkeypatch.setattr(SimulatedArm, "sink", lambda arm, by_rad: sink(arm, SAG_RAD))
+    run = CutRun(tmp_path, "outage.arm_limp")
+    run.cut(within, at_tick)
+    assert run.resume() == 0
+    assert good(run.sample())
+    (freed,) = run.told("arm_freed")
+    assert "overlap by 21 mm" in freed["what"]
 
 
 def test_a_rehearsal_refuses_outages_which_its_twins_do_not_have(tmp_path: Path) -> None:

@@ -130,6 +130,42 @@ samples: [{id: a, mass: 300 mg, repeat: 4}]
 """
 
 
+LENDING = """
+recipe: lending
+workflow: fill_pellet_die
+leftover: keep
+sources:
+  one: {station: mortar_bay, container: agate_mortar, powder: glass_beads, lot: A, amount: 2.2 g}
+  other: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, lot: A, amount: 3 g}
+defaults: {source: one, container: pellet_die_13mm, tolerance: 10 mg, mass: 500 mg}
+samples: [{id: a}, {id: b, source: other}, {id: c, repeat: 3}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "lent"),
+    [
+        ("", "", "520.0 mg"),
+        ("amount: 2.2 g", "amount: 2.7 g", None),
+        ("amount: 2.2 g", "amount: 2.2 g, refill: 2 g", None),
+        ("leftover: keep", "leftover: return", None),
+        ("leftover: keep\n", "", "520.0 mg"),
+        ("glass_beads, lot: A, amount: 3", "glass_beads, lot: B, amount: 3", None),
+        ("{id: a}, {id: b, source: other}", "{id: b, source: other}, {id: a}", None),
+        ("{id: b, source: other}, {id: c, repeat: 3}", "{id: c, repeat: 3}, {id: b, source: other}", None),
+    ],
+)
+def test_a_mortar_whose_kept_powder_may_go_to_samples_of_another_of_its_lot_is_warned_of(
+    desk: Desk, old: str, new: str, lent: str | None
+) -> None:
+    problems = Problems()
+    read_recipe(desk.write("recipe.yaml", LENDING.replace(old, new) if old else LENDING), desk.lab, problems)
+    assert not problems.errors
+    told = [problem.message for problem in problems.found if problem.code == "source-lent"]
+    assert len(told) == (lent is not None)
+    assert lent is None or f"in between, up to {lent}: it may run out" in told[0]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "gone"),
     [

@@ -179,7 +179,9 @@ class Cell:
 
         What crosses zones that others have waits for these. SkillFailed arm.no_path, arm.unreachable, arm.zone_taken.
         """
-        motion = yield from self._planned(lambda _: self.contact(waypoints, speed_mm_per_s, station), only_zones=True)
+        motion = yield from self._planned(
+            lambda _: self.contact(waypoints, speed_mm_per_s, station), only_zones=True, touching=station
+        )
         yield from self._follow(motion)
 
     def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str | None) -> Trajectory:
@@ -279,11 +281,13 @@ class Cell:
             self.motion.set_occupied(self.in_the_way.points_m)
         return self.motion
 
-    def _planned(self, plan: "Callable[[MotionPlanner], T]", *, only_zones: bool = False) -> "Steps[T]":
+    def _planned(
+        self, plan: "Callable[[MotionPlanner], T]", *, only_zones: bool = False, touching: str | None = None
+    ) -> "Steps[T]":
         """A motion around the zones that others have, and what is seen; where there is none, once they are free.
 
-        Where the arm stands in something, it first goes out of that. With `only_zones` that is a failure, and what is
-        seen is not waited for either.
+        Where the arm stands in something, it first goes out, but for the mortar at `touching`. With `only_zones`
+        it does so only after it was limp, else that is a failure; and what is seen is not waited for.
         """
         began_s, is_freed, is_obstructed = self.clock.now_s, False, False
         deadline_s = began_s + ZONE_TIMEOUT_S
@@ -293,14 +297,15 @@ class Cell:
                 found = plan(self._planner())
             except SkillFailed as failure:
                 if not (closed := self.right_of_way.closed):
-                    if only_zones:
+                    may_free = failure.code == Code.ARM_START_IN_COLLISION and not is_freed
+                    if only_zones and not (may_free and self.arm.was_limp):
                         raise
-                    if self.spec.watchers and self.in_the_way.points_m is not None:
+                    if not only_zones and self.spec.watchers and self.in_the_way.points_m is not None:
                         is_obstructed = True
                         yield from self.in_the_way.gone(began_s, failure)
-                    elif failure.code == Code.ARM_START_IN_COLLISION and not is_freed:
+                    elif may_free:
                         is_freed = True
-                        yield from self._freed()
+                        yield from self._freed(touching)
                     else:
                         raise
                     continue
@@ -330,9 +335,14 @@ class Cell:
                 return failure
         return None
 
-    def _freed(self) -> Steps[None]:
-        """Slowly out of what the arm touches, which is written down; SkillFailed arm.start_in_collision."""
-        out, what = self._planner().way_out(self.arm.positions, self._spill_limit_deg())
+    def _freed(self, touching: str | None) -> Steps[None]:
+        """Slowly out of what the arm touches, which is written down; SkillFailed arm.start_in_collision.
+
+        The sheet may touch the mortar at `touching`. Into any other one only an arm that was limp has come unasked.
+        """
+        out, what = self._planner().way_out(
+            self.arm.positions, self._spill_limit_deg(), touching, from_mortars=self.arm.was_limp
+        )
         self.record.event(ArmFreed(what=what, duration_s=round(out.duration_s, 3)))
         yield from self._follow(out)
 

@@ -51,6 +51,8 @@ SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
 STROKES_KEPT = 64
 
+BY_HAND = "hold the arm, switch its supply off and on, lead it clear by hand, and resume"
+
 
 class MotionPlanner:
     """Plans the arm's motions in one cell, and keeps what it has planned.
@@ -257,24 +259,33 @@ class MotionPlanner:
             raise SkillFailed(failure.code, f"{way}: {failure.detail}") from None
         return self._borne(up.reversed())
 
-    def way_out(self, start: Floats, spill_limit_deg: float | None = None) -> tuple[StoppableTrajectory, str]:
+    def way_out(
+        self,
+        start: Floats,
+        spill_limit_deg: float | None = None,
+        touching: str | None = None,
+        *,
+        from_mortars: bool = False,
+    ) -> tuple[StoppableTrajectory, str]:
         """Slowly out of what the arm touches where it stands, and what that is; `move` goes on from its end.
 
-        SkillFailed arm.start_in_collision where it touches nothing, a mortar (which is withdrawn from) or a closed zone
-        (which is waited for), stands too deep in something, or where the load would spill.
+        The sheet may touch the mortar at the station `touching`, and goes on with `contact`. SkillFailed
+        arm.start_in_collision where it touches nothing, a closed zone (which is waited for) or, but `from_mortars`, a
+        mortar (which is withdrawn from), stands too deep in something, or where the load would spill.
         """
-        begin, scene = checked_joints(start, self._limits_rad), self.scene(CLOSE_MARGIN_M)
-        held = scene.touched(begin) & (self._scenes.mortars | self._geometry.closed)
+        begin, scene = checked_joints(start, self._limits_rad), self.scene(CLOSE_MARGIN_M, touching)
+        kept_in = self._geometry.closed if from_mortars else self._scenes.mortars | self._geometry.closed
+        held = scene.touched(begin) & kept_in
         failure = explain.start_in_collision(scene, begin)
         try:
             if held or not scene.hits(begin[None, :])[0]:
                 raise NoWayOutError(f"{', '.join(sorted(held))} is not left so" if held else "that is no collision")
             motion = way_out(scene, begin, self.rates)
         except NoWayOutError as error:
-            raise SkillFailed(failure.code, f"{failure.detail}; {error}") from None
+            raise SkillFailed(failure.code, f"{failure.detail}; {error}; {BY_HAND}") from None
         if spill_limit_deg is not None:
             if spill_stretch(motion, self._mount, spill_limit_deg) != 1.0:
-                raise SkillFailed(failure.code, f"{failure.detail}; on the way out the load would spill")
+                raise SkillFailed(failure.code, f"{failure.detail}; on the way out the load would spill; {BY_HAND}")
             motion = motion.keeping(spill_limit_deg)
         return self._stoppable(motion), explain.closest_pair(scene, begin)
 

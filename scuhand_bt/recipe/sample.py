@@ -206,6 +206,24 @@ def discarded_mg(sample: Sample, source: Source) -> float:
     return min(scooped_for_mg(last_mg), most_mg) - last_mg
 
 
+def lent_mg(samples: Sequence[Sample], source: Source) -> float:
+    """What samples of other sources may take of this one, whose powder is kept in the cone for its lot.
+
+    In their order in the recipe: what comes after the last sample of this source takes nothing that that lacks.
+    """
+    if source.leftover not in ("keep", None):
+        return 0.0
+    lent_mg = since_mg = 0.0
+    was_used = False
+    for sample in samples:
+        if needed_mg(sample, source) > 0.0:
+            lent_mg += min(since_mg, LOAD_AIM * source.powder.load_limit_mg)
+            since_mg, was_used = 0.0, True
+        elif was_used:
+            since_mg += sum(take.needed_mg for take in sample.takes if take.source.sheet_key == source.sheet_key)
+    return lent_mg
+
+
 def check_source(source: Source, cell: CellSpec, marks: Mapping[str, Node], problems: Problems) -> None:
     """The source's powder must fit into its mortar, and come where the hand opens as wide as it can.
 
@@ -335,6 +353,12 @@ def check_demand(
             what = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}, {doubt}"
             remedy = "more powder, `leftover: keep` or `return`, or see by `plan` what dry runs discard"
             problems.warn(marks[name], what, remedy, code="source-discarded")
+        elif source.refill_mg is None and (lent := lent_mg(samples, source)) > source.amount_mg - demand.needed_mg:
+            what = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}, its samples need "
+            what += f"{format_mass(demand.needed_mg)} with losses, and what is kept in the cone of it may go to others "
+            what += f"of its lot in between, up to {format_mass(lent)}: it may run out"
+            remedy = "more powder, the samples of each source one after the other, or `leftover: return`"
+            problems.warn(marks[name], what, remedy, code="source-lent")
 
 
 def _rounded(mass_mg: float, towards: Callable[[float], int]) -> str:
