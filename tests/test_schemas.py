@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,16 @@ def as_an_editor_reads(text: str) -> Any:
     return value(yaml.compose(text, Loader=yaml.SafeLoader))
 
 
-def mistakes(kind: str, text: str, lab: Lab) -> list[str]:
-    made = schema(kind, lab)
+@cache
+def validator(written_schema: str) -> jsonschema.Draft202012Validator:
+    """Of a schema that is one, which takes half a second to know."""
+    made = json.loads(written_schema)
     jsonschema.Draft202012Validator.check_schema(made)
-    found = jsonschema.Draft202012Validator(made).iter_errors(as_an_editor_reads(text))
+    return jsonschema.Draft202012Validator(made)
+
+
+def mistakes(kind: str, text: str, lab: Lab) -> list[str]:
+    found = validator(written(kind, lab)).iter_errors(as_an_editor_reads(text))
     return [".".join(map(str, error.absolute_path)) + ": " + error.message for error in found]
 
 
