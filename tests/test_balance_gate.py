@@ -191,6 +191,7 @@ def test_a_balance_too_slow_to_dose_with_is_refused_before_powder_falls(tmp_path
     assert "it showed the container 7.0 s late; up to 6.2 s are dosed with" in (ran.sample("b").detail or "")
 
 
+@pytest.mark.slow
 def test_a_balance_that_is_set_to_five_seconds_is_dosed_with(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, RECIPE, plant=f"{__name__}:MuchSlower", controller="adaptive")
     assert told(ran, "container")[1]["delay_s"] == pytest.approx(5.0, abs=0.3)

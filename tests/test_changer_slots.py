@@ -76,6 +76,7 @@ def test_what_is_no_number_of_slots_is_refused(slots: object) -> None:
         ChangerSpec.model_validate({"slots": slots})
 
 
+@pytest.mark.slow
 def test_in_a_dry_run_the_plan_says_when_a_kind_has_run_out_and_the_run_asks_then(
     tmp_path: Path, lab_folder: LabFolder
 ) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from daily import first_daily
 from dose_bench import shipped_powders
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -124,7 +125,7 @@ def test_of_a_bowl_that_the_sheet_is_too_large_for_less_is_expected_and_a_thicke
     [(MORTAR, 20_000.0, 3500.0, 0.85, 1.25), (SMALL, 8000.0, 1500.0, 0.75, 1.3)],
     ids=["shipped", "small"],
 )
-@pytest.mark.parametrize("name", ["glass_beads", "monosodium_glutamate", "titanium_dioxide"])
+@pytest.mark.parametrize("name", first_daily("monosodium_glutamate", "glass_beads", "titanium_dioxide"))
 def test_strokes_one_after_another_bring_what_is_expected_of_the_layers(
     name: str, mortar: Mortar, fill_mg: float, wanted_mg: float, least: float, most: float
 ) -> None:

@@ -74,7 +74,7 @@ def codes(ran: Any) -> list[str | None]:
     return [sample.code if sample.verdict != "not run" else "not run" for sample in ran.samples]
 
 
-@pytest.mark.parametrize("policy", ["flag", "skip_sample"])
+@pytest.mark.parametrize("policy", first_daily("skip_sample", "flag"))
 def test_two_samples_in_a_row_that_overshot_stop_the_batch_whatever_their_powder(tmp_path: Path, policy: str) -> None:
     ran = run(tmp_path, {2, 3}, policy=policy)
     assert codes(ran.result) == [None, "dose.overshoot", "dose.overshoot", "not run", "not run", "not run"]
@@ -87,6 +87,7 @@ def test_two_samples_in_a_row_that_overshot_stop_the_batch_whatever_their_powder
     assert by_mg[0] > 2.0
 
 
+@pytest.mark.slow
 def test_overshoots_with_a_good_sample_between_them_do_not_stop_it(tmp_path: Path) -> None:
     ran = run(tmp_path, {2, 4, 6})
     assert codes(ran.result) == [None, "dose.overshoot", None, "dose.overshoot", None, "dose.overshoot"]

@@ -205,6 +205,7 @@ class Answers:
         return self._answer if self._answer in choices else choices[0]
 
 
+@pytest.mark.slow
 def test_a_batch_that_stopped_for_an_empty_source_is_resumed_when_that_was_filled(tmp_path: Path) -> None:
     case = Case(tmp_path, "stop")
     stopped = case.go()
@@ -213,6 +214,7 @@ def test_a_batch_that_stopped_for_an_empty_source_is_resumed_when_that_was_fille
     assert {sample.verdict for sample in resumed.samples} == {"in tolerance"}
 
 
+@pytest.mark.slow
 def test_a_person_who_says_redo_has_looked_after_the_source(tmp_path: Path) -> None:
     case = Case(tmp_path, "ask", "redo")
     assert {sample.verdict for sample in case.go().samples} == {"in tolerance"}

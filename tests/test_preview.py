@@ -94,6 +94,7 @@ def stops(lab_folder: LabFolder) -> Path:
     )
 
 
+@pytest.mark.slow
 def test_the_page_of_a_plan_whose_runs_stop_says_what_none_has_come_to(
     stops: Path, command: Call, tmp_path: Path
 ) -> None:

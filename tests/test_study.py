@@ -481,6 +481,7 @@ def test_a_mass_that_was_tried_a_few_times_is_judged_by_its_neighbours_as_far_as
     assert apart[-1] < 0.1
 
 
+@pytest.mark.slow
 def test_the_command_tries_the_physics_that_it_is_told(command: Call, setup: Setup) -> None:
     """A yield of nothing, where the simulation's own fills all."""
     shown = command("study", setup.recipe, "--trials", 1, "--workers", 1, "--plant", "test_own_plant:Nothing").stdout

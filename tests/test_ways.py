@@ -183,6 +183,7 @@ def test_a_hand_so_heavy_that_a_servo_gets_hot_is_warned_of_each_time(lab: LabFo
         assert strained.mark.line == 5
 
 
+@pytest.mark.slow
 def test_a_plan_with_dry_runs_tells_what_planning_the_arms_ways_tells(lab: LabFolder, command: Call) -> None:
     lab.replace("robot/cell.yaml", "hand: {driver: hand_controller,", "hand: {driver: hand_controller, mass: 480 g,")
     asked = ("plan", lab.folder / "recipes" / "one.yaml", "--workers", 1, "--json")
