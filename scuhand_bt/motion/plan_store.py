@@ -1,7 +1,8 @@
 """Plans on disk: what was planned once for a cell is at hand for the next run in it.
 
 A file holds the plans of one geometry: its name is a hash of the URDF, what a cell tells of motion, the mortars, this
-package's own source and the libraries below it, so that a plan is looked for only where the same would be planned again. Nothing is believed
+package's own source and the libraries below it, so that a plan is looked for only where the same would be planned
+again. Nothing is believed
 because it was found: the planner proves every plan anew before it is used (`MotionPlanner`).
 """
 
