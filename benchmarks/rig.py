@@ -7,6 +7,7 @@ and the cone is loaded by hand, as in the paper's experiments. One
 dose starts from a fresh load of the cone.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -262,7 +263,8 @@ class Bench:
         digit_mg = cell.spec.balance.readability_mg
         reference = Reference(cell.believed.bracket.last, Drift(0.0, 0.0), Net(0.0, 0.0), digit_mg)
         controller = new_controller(known, request)
-        return run_dose(controller, request, cell.hand, cell.balance, cell.clock, cell.record, reference)
+        devices = cell.hand, cell.balance, cell.clock, cell.record
+        return run_dose(controller, request, *devices, reference, unwatched_s=math.inf)  # its experiments had no watch
 
     def _keep(self, name: str, run: DoseRun) -> str:
         """What a controller that no recipe can name came to, as a dose; why it ended."""

@@ -34,6 +34,7 @@ from harness.random_physics import DrawnFlow, FlowFigures
 from harness.random_plants import draw
 from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing import estimation
+from scuhand_bt.dosing.controller import LONGEST_UNWEIGHED_S
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Departure
 
@@ -270,6 +271,12 @@ def test_a_dose_that_no_bare_pan_has_confirmed_is_not_told_good(monkeypatch: pyt
     (trial,) = run_of_doses(shipped_powders()["glass_beads"], 20.0, "adaptive", 1, Setting(), 1)
     assert abs(trial.true_error_mg) < 2.0
     assert not trial.accepted
+
+
+def test_the_paper_is_not_held_up_by_a_watch_that_its_experiments_had_not() -> None:
+    (trial,) = run_of_doses(shipped_powders()["glass_beads"], 20.0, "paper", 1, Setting(), 1)
+    assert trial.duration_s > LONGEST_UNWEIGHED_S, "in a lab its pan is watched by then"
+    assert trial.duration_s / trial.steps == pytest.approx(7.2, rel=0.06), "its Table II, and the valve's time open"
 
 
 def test_a_balance_that_weighs_no_dish_gives_no_dose(monkeypatch: pytest.MonkeyPatch) -> None:

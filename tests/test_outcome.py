@@ -461,6 +461,26 @@ def test_plain_lines_tell_a_sample_once_and_again_only_when_its_bracket_flags_it
     assert lines[1:] == [f"{lines[0]} (balance.bracket_open: 3 mg are nobody's)"]
 
 
+def test_plain_lines_tell_a_bad_sample_again_only_when_there_is_something_else_to_tell() -> None:
+    lines: list[str] = []
+    observer, had = PlainLines(lines.append, 1), result(dose(90.4))
+    observer.sample_ended(had)
+    observer.sample_ended(confirmed(had, gone(glass_beads=90.4)))
+    assert lines == ["[1/1] a: 90.4 mg of 50.0 mg (+40.4 mg) in 3 pulses, 1 min 00 s: over"]
+    observer.sample_ended(confirmed(had, gone(glass_beads=90.1)))
+    assert [line.split(" mg")[0] for line in lines[1:]] == ["[1/1] a: 90.1"]
+
+
+def test_plain_lines_tell_the_good_end_of_a_sample_that_was_done_again() -> None:
+    """Whose container has gone within its own job, so that it is known to be good at once."""
+    lines: list[str] = []
+    observer = PlainLines(lines.append, 1)
+    observer.sample_ended(result(dose(90.4)))
+    again = confirmed(result(dose(50.4)), gone(glass_beads=50.4)).model_copy(update={"attempt": 2})
+    observer.sample_ended(again)
+    assert lines[1:] == ["[1/1] a: 50.4 mg of 50.0 mg (+0.4 mg) in 3 pulses, 1 min 00 s: in tolerance"]
+
+
 def test_a_sample_of_several_doses_is_told_with_each_of_them() -> None:
     lines: list[str] = []
     of_lots, two = result(dose(50.4), dose(45.0, 40.0, lot=SALT)), sample(first=FIRST, second=SECOND)

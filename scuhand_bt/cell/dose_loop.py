@@ -143,8 +143,12 @@ def run_dose(
     clock: Clock,
     record: Record,
     reference: Reference,
+    *,
+    unwatched_s: float = LONGEST_UNWEIGHED_S,
 ) -> Steps[DoseRun]:
     """Run a controller to its `Finish` of a request; net masses are against `reference`, weighed with the hand there.
+
+    The pan is watched for its drift after `unwatched_s` without that; never where it is infinite.
 
     SkillFailed from the balance: device.lost, balance.unstable, balance.overload; container.moved.
     """
@@ -221,7 +225,7 @@ def run_dose(
                     hand.stop()
                 yield from pause(clock, command.wait_s)
                 unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
-                is_watched = clock.now_s - unwatched_since_s > LONGEST_UNWEIGHED_S
+                is_watched = clock.now_s - unwatched_since_s > unwatched_s
                 if is_watched:  # a mean may be stable and still creep by a digit, which would pass for a drift
                     yield from pause(clock, 2.0 * request.balance.lag_s)
                 mean = yield from balance.stable_mean(balance.spec.settles_s)

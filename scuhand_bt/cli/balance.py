@@ -21,6 +21,9 @@ WORDS: Mapping[str, tuple[str, str]] = {
     "drift_mg_per_s": ("drift", "mg/s"),
     "minimum_weight_mg": ("minimum weight by USP 41", "mg"),
     "lag_s": ("half its delay, by doses", "s"),
+    "lag_doubt": ("doubt of that", "%"),
+    "filter": ("its filter, by doses", ""),
+    "filter_misfit": ("what that is off by, of what it has yet to show", "%"),
 }
 """What each figure is called, and its unit."""
 
@@ -51,7 +54,7 @@ def balance(
     table = Table("balance", "what", "", "says", "at", show_edge=False)
     for name, figure, value, says, at in rows:
         words, unit = WORDS.get(figure, (figure, ""))  # which another version has measured
-        table.add_row(Text(name), words, f"{value:.3g} {unit}", Text(says), at)
+        table.add_row(Text(name), words, Text(_told(value, unit)), Text(says), at)
     out.print(table)
     if simulated:
         out.print("SIMULATED: no run reads this.")
@@ -59,6 +62,12 @@ def balance(
         if learnt.is_older_than(BALANCE_BELIEVED_FOR, datetime.now().astimezone()):
             days = f"more than {BALANCE_BELIEVED_FOR.days} days ago"
             out.print(Text(f"{name}: doses taught its delay {days}; the next dose learns it anew."))
+
+
+def _told(value: float | str, unit: str) -> str:
+    if isinstance(value, str):
+        return value
+    return f"{value:.0%}" if unit == "%" else f"{value:.3g} {unit}"
 
 
 @group.command("forget")

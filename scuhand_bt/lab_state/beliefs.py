@@ -142,19 +142,29 @@ class LabState:
                 found[balance] = known if value is None else {**known, figure: Measured(value, says, at)}
             return {balance: known for balance, known in found.items() if known}
 
-    def balance_figures(self, readability_mg: float, *, simulated: bool) -> list[tuple[str, str, float, str, str]]:
+    def balance_figures(
+        self, readability_mg: float, *, simulated: bool
+    ) -> list[tuple[str, str, float | str, str, str]]:
         """What was measured of balances, what follows from it, and what doses have taught.
 
         Each as the balance's name, the figure's, its value, what or which run says so, and when.
         """
-        rows = []
+        rows: list[tuple[str, str, float | str, str, str]] = []
         for name, figures in self.figures(simulated=simulated).items():
             rows += [(name, figure, one.value, one.says, one.at) for figure, one in figures.items()]
             if (repeatability := figures.get("repeatability_mg")) is not None:
                 least_mg = usp_minimum_weight_mg(least_repeatability_mg(repeatability.value, readability_mg))
                 rows.append((name, "minimum_weight_mg", least_mg, repeatability.says, repeatability.at))
         for name, learnt in self.balances(simulated=simulated).items():
-            rows.append((name, "lag_s", learnt.belief.lag_s, learnt.run, learnt.at))
+            belief = learnt.belief
+            kind = f"{belief.shape}, adapts" if belief.adapts else belief.shape
+            taught: dict[str, float | str] = {
+                "lag_s": belief.lag_s,
+                "lag_doubt": belief.doubt,
+                "filter": kind,
+                "filter_misfit": belief.misfit,
+            }
+            rows += [(name, figure, value, learnt.run, learnt.at) for figure, value in taught.items()]
         return rows
 
     def recall(self, cell: Cell, now: datetime) -> None:

@@ -41,7 +41,8 @@ class PlainLines(BatchObserver):
         self._write = write
         self._total = total
         self._each_action = each_action
-        self._ended: set[str] = set()
+        self._ended: dict[str, SampleResult] = {}
+        """Samples that have ended, and what each was told to have come to."""
         self._before: dict[SkillLeaf, Status] = {}
 
     def ticked(self, root: Behaviour) -> None:
@@ -59,14 +60,17 @@ class PlainLines(BatchObserver):
             self._write(f"{job.name}")
 
     def sample_ended(self, result: SampleResult) -> None:
-        if result.verdict == "not run" or (result.id in self._ended and result.is_good):
+        words, before = in_words(result), self._ended.get(result.id)
+        if result.verdict == "not run":
             return
-        self._ended.add(result.id)
+        if before is not None and before.attempt == result.attempt and (result.is_good or words == in_words(before)):
+            return
+        self._ended[result.id] = result
         of = f"/{self._total}" if self._total is not None else ""
-        self._write(f"[{len(self._ended)}{of}] {result.id}: {in_words(result)}")
+        self._write(f"[{len(self._ended)}{of}] {result.id}: {words}")
 
     def sample_known(self, result: SampleResult) -> None:
-        self._ended.add(result.id)
+        self._ended[result.id] = result
 
 
 class LiveView(BatchObserver):
