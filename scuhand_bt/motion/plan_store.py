@@ -2,8 +2,7 @@
 
 A file holds the plans of one geometry: its name is a hash of the URDF, what a cell tells of motion, the mortars, this
 package's own source and the libraries below it, so that a plan is looked for only where the same would be planned
-again. Nothing is believed
-because it was found: the planner proves every plan anew before it is used (`MotionPlanner`).
+again. Nothing is believed because it was found: the planner proves every plan anew before it is used (`MotionPlanner`).
 """
 
 import hashlib
