@@ -332,6 +332,18 @@ def test_a_ctrl_c_ends_a_study_in_the_midst_of_a_trial_that_takes_it_for_its_own
     assert ended.returncode == ends
 
 
+@pytest.mark.parametrize("options", [(), ("--vary", "flow.yaml", "--optimise", 2)])
+def test_a_ctrl_c_says_that_what_was_tried_is_kept_and_how_it_goes_on(
+    setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[object, ...]
+) -> None:
+    flow, kept = tmp_path / "flow.yaml", tmp_path / "s.sqlite"
+    flow.write_text(f"vary: {{{FLOW}: [50, 75]}}", encoding="utf-8")
+    monkeypatch.setattr("scuhand_bt.study.executor_of", MagicMock(side_effect=KeyboardInterrupt))
+    ended = command("study", setup.recipe, "--store", kept, *(flow if one == "flow.yaml" else one for one in options))
+    said = f"Interrupted. The dry runs that have ended are kept in {kept}; the same command goes on with the others.\n"
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", said)
+
+
 def test_a_ctrl_c_while_the_processes_of_a_study_begin_is_answered_by_none_of_them(tmp_path: Path) -> None:
     program = tmp_path / "study.py"
     program.write_text(
@@ -455,6 +467,25 @@ def test_odds_hold_alike_samples_together_and_warn_of_those_that_fail(setup: Set
     assert odds.scoops["beads"].low == 1.0 < odds.scoops["beads"].high == 2.0
 
 
+def test_what_is_varied_of_the_samples_is_judged_by_the_trials_that_asked_for_it(setup: Setup) -> None:
+    """As of `repeat`: a trial has fewer samples than are written, or more; `a` and `b`, alike as written, are not."""
+    lab = load_lab(setup.lab)
+    plan = make_plan(load_recipe(setup.recipe, lab), lab)
+    few, many = (fake(0, 600.0, "abcd"), fake(1, 900.0, "acd"))
+    few = replace(few, samples=few.samples[:2], began_s={"a": 0.0, "b": 100.0, "finish the batch": 500.0})
+    many = replace(many, samples=(*many.samples, replace(many.samples[2], id="d")), began_s={
+        "a": 0.0, "b": 100.0, "c": 200.0, "d": 300.0, "finish the batch": 800.0
+    })  # fmt: skip
+    odds = odds_of(plan, [few, many], as_written=False)
+    assert {name: (one.good, one.tried) for name, one in odds.samples.items()} == {
+        "a": (2, 2), "b": (1, 2), "c": (1, 1), "d": (1, 1)
+    }  # fmt: skip
+    assert odds.asked == 3.0
+    assert odds.good == pytest.approx(sum(odds.samples[name].probability for name in "ababcd") / 2)
+    assert odds.unlikely == ["b"]
+    assert (odds.ended["b"], odds.alone["b"], odds.ended["c"], odds.ended["finish the batch"]) == (2, 2, 1, 2)
+
+
 def test_a_mass_that_was_tried_a_few_times_is_judged_by_its_neighbours_as_far_as_they_agree(setup: Setup) -> None:
     lab = load_lab(setup.lab)
     samples = "".join(
@@ -528,6 +559,7 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
     assert {row[FLOW] for row in written} == {"40", "150"}
     shown = command(*asked).stdout
     assert "By 4 dry runs" in shown
+    assert "of 3 samples are to be expected" in shown
     assert "what duration_s depends on" in shown
     assert command("study", setup.recipe, "-o", "rows.txt").returncode == 2
 
