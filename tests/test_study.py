@@ -439,6 +439,22 @@ def test_a_file_that_varies_nothing_sensible_is_told_where(setup: Setup, tmp_pat
     assert said in str(wrong.value)
 
 
+def test_a_value_that_may_not_be_is_told_before_the_first_dry_run(
+    setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vary = tmp_path / "vary.yaml"
+    monkeypatch.setattr("scuhand_bt.study.executor_of", MagicMock(side_effect=AssertionError("it was begun")))
+    for ranges, said in (
+        (f"{FLOW}: {{from: -1, to: 60}}", "more than 0 (with"),
+        (f"{FLOW}: [50, 60, -3]", f"more than 0 (with {FLOW}: -3)"),
+        ("recipe.samples.2.mass: {from: 0.04 g, to: 90 g}", "two.yaml:8:57: "),
+        ("recipe.samples.0.container: [xrd_holder, nowhere]", "unknown container 'nowhere'"),
+    ):
+        vary.write_text(f"vary: {{{ranges}}}", encoding="utf-8")
+        refused = command("study", setup.recipe, "--vary", vary, "--store", tmp_path / "s.sqlite")
+        assert (refused.returncode, said in refused.stderr) == (2, True), refused.stderr
+
+
 def fake(seed: int, duration_s: float, good: str) -> Trial:
     """A trial of the three samples of which these are good."""
     samples = tuple(
@@ -611,8 +627,16 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
 def test_trials_are_written_as_parquet_too(setup: Setup, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     one = trial(setup, 1)
-    write_table(tmp_path / "t.parquet", [((setup, 1), one)])
-    rows = parquet.read_table(tmp_path / "t.parquet").to_pylist()
+    varied = replace(setup, changes=((FLOW, "75"), ("recipe.samples.0.mass", "50 mg")))
+    write_table(tmp_path / "t.parquet", [((varied, 1), one)])
+    table = parquet.read_table(tmp_path / "t.parquet")
+    rows = table.to_pylist()
+    assert (rows[0][FLOW], rows[0]["recipe.samples.0.mass"]) == (75.0, "50 mg")
+    assert [sample.code for sample in one.samples] == [None] * 3
+    assert str(table.schema.field("code").type) == "string", "as in a study of which one has failed"
+    written = {name for name in table.column_names if "." not in name}
+    told = re.findall(r"`(\w+)`", (REPOSITORY / "docs" / "study.md").read_text(encoding="utf-8"))
+    assert written <= set(told), "each column is told of"
     assert [(row["seed"], row["id"], row["true_mg"]) for row in rows] == [
         (1, sample.id, sample.true_mg) for sample in one.samples
     ]

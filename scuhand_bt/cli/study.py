@@ -52,6 +52,7 @@ def study(
         TABLE_KINDS,
         Setup,
         all_trials,
+        check_ends,
         executor_of,
         files_hash,
         odds_of,
@@ -87,6 +88,8 @@ def study(
     apart = list(dict.fromkeys(draws))  # of few names many draws are alike: the same dry runs tell nothing more
     if (many := len(apart) * trials) > MOST_TRIALS:
         raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
+    if varied is not None:
+        check_ends(apart)
     tasks = [(draw, seed) for draw in apart for seed in range(first_seed, first_seed + trials)]
     found: dict[Task, Trial] = {}
     with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
