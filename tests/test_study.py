@@ -332,6 +332,18 @@ def test_a_ctrl_c_ends_a_study_in_the_midst_of_a_trial_that_takes_it_for_its_own
     assert ended.returncode == ends
 
 
+@pytest.mark.parametrize("options", [(), ("--vary", "flow.yaml", "--optimise", 2)])
+def test_a_ctrl_c_says_that_what_was_tried_is_kept_and_how_it_goes_on(
+    setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[object, ...]
+) -> None:
+    flow, kept = tmp_path / "flow.yaml", tmp_path / "s.sqlite"
+    flow.write_text(f"vary: {{{FLOW}: [50, 75]}}", encoding="utf-8")
+    monkeypatch.setattr("scuhand_bt.study.executor_of", MagicMock(side_effect=KeyboardInterrupt))
+    ended = command("study", setup.recipe, "--store", kept, *(flow if one == "flow.yaml" else one for one in options))
+    said = f"Interrupted. The dry runs that have ended are kept in {kept}; the same command goes on with the others.\n"
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", said)
+
+
 def test_a_ctrl_c_while_the_processes_of_a_study_begin_is_answered_by_none_of_them(tmp_path: Path) -> None:
     program = tmp_path / "study.py"
     program.write_text(
@@ -427,6 +439,22 @@ def test_a_file_that_varies_nothing_sensible_is_told_where(setup: Setup, tmp_pat
     assert said in str(wrong.value)
 
 
+def test_a_value_that_may_not_be_is_told_before_the_first_dry_run(
+    setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vary = tmp_path / "vary.yaml"
+    monkeypatch.setattr("scuhand_bt.study.executor_of", MagicMock(side_effect=AssertionError("it was begun")))
+    for ranges, said in (
+        (f"{FLOW}: {{from: -1, to: 60}}", "more than 0 (with"),
+        (f"{FLOW}: [50, 60, -3]", f"more than 0 (with {FLOW}: -3)"),
+        ("recipe.samples.2.mass: {from: 0.04 g, to: 90 g}", "two.yaml:8:57: "),
+        ("recipe.samples.0.container: [xrd_holder, nowhere]", "unknown container 'nowhere'"),
+    ):
+        vary.write_text(f"vary: {{{ranges}}}", encoding="utf-8")
+        refused = command("study", setup.recipe, "--vary", vary, "--store", tmp_path / "s.sqlite")
+        assert (refused.returncode, said in refused.stderr) == (2, True), refused.stderr
+
+
 def fake(seed: int, duration_s: float, good: str) -> Trial:
     """A trial of the three samples of which these are good."""
     samples = tuple(
@@ -453,6 +481,25 @@ def test_odds_hold_alike_samples_together_and_warn_of_those_that_fail(setup: Set
     assert odds.duration_s.low < 550.0 < 600.0 == pytest.approx(odds.duration_s.middle, abs=15.0)
     assert odds.duration_s.high > 650.0
     assert odds.scoops["beads"].low == 1.0 < odds.scoops["beads"].high == 2.0
+
+
+def test_what_is_varied_of_the_samples_is_judged_by_the_trials_that_asked_for_it(setup: Setup) -> None:
+    """As of `repeat`: a trial has fewer samples than are written, or more; `a` and `b`, alike as written, are not."""
+    lab = load_lab(setup.lab)
+    plan = make_plan(load_recipe(setup.recipe, lab), lab)
+    few, many = (fake(0, 600.0, "abcd"), fake(1, 900.0, "acd"))
+    few = replace(few, samples=few.samples[:2], began_s={"a": 0.0, "b": 100.0, "finish the batch": 500.0})
+    many = replace(many, samples=(*many.samples, replace(many.samples[2], id="d")), began_s={
+        "a": 0.0, "b": 100.0, "c": 200.0, "d": 300.0, "finish the batch": 800.0
+    })  # fmt: skip
+    odds = odds_of(plan, [few, many], as_written=False)
+    assert {name: (one.good, one.tried) for name, one in odds.samples.items()} == {
+        "a": (2, 2), "b": (1, 2), "c": (1, 1), "d": (1, 1)
+    }  # fmt: skip
+    assert odds.asked == 3.0
+    assert odds.good == pytest.approx(sum(odds.samples[name].probability for name in "ababcd") / 2)
+    assert odds.unlikely == ["b"]
+    assert (odds.ended["b"], odds.alone["b"], odds.ended["c"], odds.ended["finish the batch"]) == (2, 2, 1, 2)
 
 
 def test_a_mass_that_was_tried_a_few_times_is_judged_by_its_neighbours_as_far_as_they_agree(setup: Setup) -> None:
@@ -529,6 +576,7 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
     assert {row[FLOW] for row in written} == {"40", "150"}
     shown = command(*asked).stdout
     assert "By 4 dry runs" in shown
+    assert "of 3 samples are to be expected" in shown
     assert "what duration_s depends on" in shown
     assert command("study", setup.recipe, "-o", "rows.txt").returncode == 2
 
@@ -580,8 +628,16 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
 def test_trials_are_written_as_parquet_too(setup: Setup, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     one = trial(setup, 1)
-    write_table(tmp_path / "t.parquet", [((setup, 1), one)])
-    rows = parquet.read_table(tmp_path / "t.parquet").to_pylist()
+    varied = replace(setup, changes=((FLOW, "75"), ("recipe.samples.0.mass", "50 mg")))
+    write_table(tmp_path / "t.parquet", [((varied, 1), one)])
+    table = parquet.read_table(tmp_path / "t.parquet")
+    rows = table.to_pylist()
+    assert (rows[0][FLOW], rows[0]["recipe.samples.0.mass"]) == (75.0, "50 mg")
+    assert [sample.code for sample in one.samples] == [None] * 3
+    assert str(table.schema.field("code").type) == "string", "as in a study of which one has failed"
+    written = {name for name in table.column_names if "." not in name}
+    told = re.findall(r"`(\w+)`", (REPOSITORY / "docs" / "study.md").read_text(encoding="utf-8"))
+    assert written <= set(told), "each column is told of"
     assert [(row["seed"], row["id"], row["true_mg"]) for row in rows] == [
         (1, sample.id, sample.true_mg) for sample in one.samples
     ]

@@ -26,6 +26,7 @@ from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.run_events import Paused, RunBegun
+from scuhand_bt.journal.standing import Standing
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import make_plan
@@ -151,6 +152,24 @@ def test_time_left_is_the_plan_stretched_by_what_is_done_and_a_pause_does_not_co
     view.sample_ended(ran.sample("a"))
     stretched = (first_s + 120.0) / first_s
     assert view.shown().left_s == pytest.approx(stretched * (plan_s - first_s)), "and no more"
+
+
+def test_a_resumed_run_tells_the_time_left_by_what_was_done_before_and_when(ran: Ran) -> None:
+    """As who watches it does: not as if all of it had been done as it was resumed."""
+    session, clock, a = ran.session, VirtualClock(), ran.sample("a")
+    cell = SimpleNamespace(
+        **{name: getattr(session.cell, name) for name in ("balance", "believed", "hand")}, clock=clock
+    )
+    plan_s, first_s = session.plan.duration_s, session.plan.done_s["a"]
+    stood = Standing()
+    stood.paused(10.0)
+    stood.continued(110.0)
+    told_s = {"a": (2.0 * first_s + 100.0, 100.0)}
+    before = Follower(session.journal.path, samples={"a": a}, told_s=told_s, standing=stood)
+    clock.now_s = 2.0 * first_s + 120.0
+    view = LiveView(Console(file=io.StringIO()), cell, session.plan, Control(), "SIMULATED", before)  # type: ignore[arg-type]
+    view.sample_known(a)
+    assert view.shown().left_s == pytest.approx(2.0 * (plan_s - first_s) - 20.0)
 
 
 def test_a_run_tells_who_watches_that_it_stands_still(tmp_path: Path) -> None:

@@ -254,7 +254,8 @@ def _view(session: "Session", shows: HowMuch, shown: ExitStack) -> "BatchObserve
     if shows == "picture":
         if isinstance(terminal := session.control.terminal, LiveTerminal):
             shown.enter_context(terminal.typing())
-        return shown.enter_context(LiveView(out, session.cell, session.plan, session.control, session.mode))
+        before = session.before()
+        return shown.enter_context(LiveView(out, session.cell, session.plan, session.control, session.mode, before))
     count, is_verbose = len(session.plan.recipe.samples), shows == "verbose"
     return PlainLines(lambda line: out.print(Text(line)), count, each_action=is_verbose)
 

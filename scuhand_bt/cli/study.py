@@ -1,5 +1,7 @@
 """The command about many dry runs of a recipe."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import JsonFlag, LabOption, RecipeArgument, app, err, of_kind, out, print_json, the_plan
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
@@ -49,6 +52,7 @@ def study(
         TABLE_KINDS,
         Setup,
         all_trials,
+        check_ends,
         executor_of,
         files_hash,
         odds_of,
@@ -76,7 +80,7 @@ def study(
     if optimise is not None:
         if varied is None:
             raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
-        with open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
+        with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
             seeds = range(first_seed, first_seed + trials)
             _propose(setup, varied, optimise, seeds, executor, kept, as_json=as_json)
         return
@@ -84,16 +88,19 @@ def study(
     apart = list(dict.fromkeys(draws))  # of few names many draws are alike: the same dry runs tell nothing more
     if (many := len(apart) * trials) > MOST_TRIALS:
         raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
+    if varied is not None:
+        check_ends(apart)
     tasks = [(draw, seed) for draw in apart for seed in range(first_seed, first_seed + trials)]
     found: dict[Task, Trial] = {}
-    with open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
+    with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
         going = all_trials(tasks, executor, kept)
         for task, one in track(going, "trials", len(tasks), console=err, disable=not err.is_terminal):
             found[task] = one
     ordered = [(task, found[task]) for task in tasks]
     if output is not None:
         write_table(output, ordered)
-    odds = odds_of(made, [one for _, one in ordered])
+    as_written = varied is None or not any(place.startswith("recipe.") for place in varied.vary)
+    odds = odds_of(made, [one for _, one in ordered], as_written=as_written)
     dominant = _dominant(varied, draws, ordered) if varied is not None else {}
     if as_json:
         print_json({**asdict(odds), "draws": len(apart), "indices": dominant})
@@ -102,6 +109,17 @@ def study(
     if dominant:
         _tell_dominant(dominant, varied.design if varied is not None else "")
     out.print(Text(f"Trials are kept in {kept_in}"), soft_wrap=True)
+
+
+@contextmanager
+def _goes_on_later(kept_in: Path) -> Iterator[None]:
+    """What a Ctrl-C breaks off says what is left of it, and how it goes on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        left = f"The dry runs that have ended are kept in {kept_in}; the same command goes on with the others."
+        err.print(Text(f"Interrupted. {left}"), soft_wrap=True)
+        raise typer.Exit(ExitCode.INTERRUPTED) from None
 
 
 def _propose(
@@ -146,9 +164,8 @@ def tell_odds(odds: "Odds") -> None:
         table.add_row(name, _range(scoops, lambda count: f"{count:.0f}"), *(_range(one, format_mass) for one in masses))
     if odds.scoops:
         out.print(table)
-    likely = [chance.probability for chance in odds.samples.values()]
-    if likely:
-        out.print(f"In tolerance: {sum(likely):.1f} of {len(likely)} samples are to be expected.")
+    if odds.samples:
+        out.print(f"In tolerance: {odds.good:.1f} of {round(odds.asked, 1):g} samples are to be expected.")
     for name in odds.unlikely:
         chance = odds.samples[name]
         what = f"Warning: {name} is in tolerance with a probability of {chance.probability:.0%}"

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.live import Live
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.pace import pace
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.standing import Standing
@@ -76,10 +77,13 @@ class PlainLines(BatchObserver):
 class LiveView(BatchObserver):
     """A picture that stays: the current job's tree, progress and time left, the balance, questions, the newest doses.
 
-    It is drawn on a thread of its own, so that it also tells of a run that is paused.
+    It is drawn on a thread of its own, so that it also tells of a run that is paused. Of one that is resumed `before`
+    has what it had come to: when its samples were judged, and how long it had stood still.
     """
 
-    def __init__(self, console: Console, cell: Cell, plan: Plan, control: Control, mode: str) -> None:
+    def __init__(
+        self, console: Console, cell: Cell, plan: Plan, control: Control, mode: str, before: Follower | None = None
+    ) -> None:
         self._cell = cell
         self._control = control
         self._plan = plan
@@ -88,6 +92,12 @@ class LiveView(BatchObserver):
         self._told_s: dict[str, tuple[float, float]] = {}
         """Run time at which each was judged first, and how much of that the run had stood still."""
         self._standing = Standing()
+        if before is not None:
+            self._results = {name: one for name, one in before.samples.items() if one.was_tried}
+            self._told_s = {name: before.told_s[name] for name in self._results}
+            self._standing = before.standing
+            self._standing.continued(cell.clock.now_s)
+            self._standing.answered(cell.clock.now_s)
         self._asked: Question | None = None
         self._job: tuple[Job, int] | None = None
         self._root: Behaviour | None = None

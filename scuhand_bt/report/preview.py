@@ -33,7 +33,6 @@ def preview_page(plan: Plan, lab: Lab, odds: Odds, of_persons: Sequence[str] = (
     """
     motions = _motions(plan, lab)
     recipe, sources = plan.recipe, plan.recipe.sources.values()
-    good = sum(chance.probability for chance in odds.samples.values())
     return rendered(
         "preview.html",
         recipe=recipe.name,
@@ -41,7 +40,7 @@ def preview_page(plan: Plan, lab: Lab, odds: Odds, of_persons: Sequence[str] = (
         covered=f"{COVERED:.0%}",
         figures=[
             ("time", _range(odds.duration_s, format_duration)),
-            ("samples in tolerance", f"{good:.1f} of {len(recipe.samples)}"),
+            ("samples in tolerance", f"{odds.good:.1f} of {len(recipe.samples)}"),
             ("sheet swaps between samples", str(plan.swaps)),
             ("times that a person is needed", str(sum(person.job is not None for person in plan.persons))),
         ],

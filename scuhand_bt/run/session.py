@@ -13,6 +13,7 @@ import scuhand_bt
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Reading, is_twin
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.run_events import Broken, Ended, FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
@@ -299,6 +300,14 @@ class Session:
         if result.is_complete:
             world_path(self.journal.path).unlink(missing_ok=True)
         return result
+
+    def before(self) -> Follower | None:
+        """What a run that is resumed had come to; None for a new one."""
+        if self._history is None:
+            return None
+        now = Follower(self.journal.path)
+        now.look()
+        return now
 
     @property
     def _is_taken_up(self) -> bool:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from scuhand_bt.study.store import Store, open_store
     from scuhand_bt.study.table import TABLE_KINDS, write_table
     from scuhand_bt.study.trial import Setup, Task, Trial
-    from scuhand_bt.study.vary import Vary, goes_with, means_of, read_vary
+    from scuhand_bt.study.vary import Vary, check_ends, goes_with, means_of, read_vary
 else:
     __getattr__, __dir__ = front(
         __name__,
@@ -28,7 +28,7 @@ else:
             "study.store": "Store open_store",
             "study.table": "TABLE_KINDS write_table",
             "study.trial": "Setup Task Trial",
-            "study.vary": "Vary goes_with means_of read_vary",
+            "study.vary": "Vary check_ends goes_with means_of read_vary",
         },
     )
 
@@ -43,6 +43,7 @@ __all__ = [
     "Trial",
     "Vary",
     "all_trials",
+    "check_ends",
     "diff",
     "executor_of",
     "fates",

@@ -7,7 +7,7 @@ lowered by `UNFORESEEN` likewise. `benchmarks.forecasts` holds both against runs
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,9 @@ from scipy.stats import beta, t
 
 from scuhand_bt.dosing.verdict import LIKELY
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.recipe.plan import Job, Plan
+from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.study.trial import LEFTOVERS, SampleTrial, Trial
+from scuhand_bt.study.trial import LEFTOVERS, Trial
 
 COVERED = 0.9
 """Of the intervals."""
@@ -72,6 +72,11 @@ class Odds:
     alone: Mapping[str, int]
     """How many of these with nobody asked for anything until then."""
     samples: Mapping[str, Chance]
+    """Of every sample that any trial was asked for."""
+    asked: float
+    """Samples of a run, on average: trials may differ in them by what is varied."""
+    good: float
+    """Of these, how many are to be expected in tolerance."""
     scoops: Mapping[str, Range]
     """By source."""
     used_mg: Mapping[str, Range]
@@ -91,23 +96,30 @@ class Odds:
         return [name for name, chance in tried if chance.probability < LIKELY and chance.good < chance.tried]
 
 
-def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
-    """The odds of a plan by its trials, at least one."""
+def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> Odds:
+    """The odds of a plan by its trials, at least one; `as_written`: what each sample asks for is the same in all."""
     vessels = sorted({kind for trial in found for mg in trial.leftovers_mg.values() for kind in mg} - {*LEFTOVERS})
     first_asked_s = [min(trial.asked_s.values(), default=math.inf) for trial in found]
     codes = Counter(one.code or one.verdict for trial in found for one in trial.samples if not one.good)
-    ends_s = {job.name: [_ended_s(trial, following) for trial in found] for job, following in _followed(plan)}
+    ends_s = [_ends_s(trial) for trial in found]
+    samples = _chances(plan, found, as_written=as_written)
+    asked = [one.id for trial in found for one in trial.samples]
     return Odds(
         trials=len(found),
         duration_s=_of_times([trial.duration_s for trial in found]),
         began_s=_of_jobs(plan, [trial.began_s for trial in found]),
         asked_s=_of_jobs(plan, [trial.asked_s for trial in found]),
-        ended={job: sum(end_s is not None for end_s in of) for job, of in ends_s.items()},
+        ended={job.name: sum(job.name in of_s for of_s in ends_s) for job in plan.jobs},
         alone={
-            job: sum(end_s is not None and end_s <= asked_s for end_s, asked_s in zip(of, first_asked_s, strict=True))
-            for job, of in ends_s.items()
+            job.name: sum(
+                of_s.get(job.name, math.inf) <= min(asked_s, trial.duration_s)
+                for trial, of_s, asked_s in zip(found, ends_s, first_asked_s, strict=True)
+            )
+            for job in plan.jobs
         },
-        samples=_chances(plan, found),
+        samples=samples,
+        asked=len(asked) / len(found),
+        good=sum(samples[name].probability for name in asked) / len(found),
         scoops={name: _seen([trial.scoops[name] for trial in found]) for name in plan.recipe.sources},
         used_mg={name: _seen([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},
         leftovers_mg={
@@ -121,16 +133,13 @@ def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
     )
 
 
-def _followed(plan: Plan) -> Iterator[tuple[Job, str | None]]:
-    """The jobs of a plan, each with the name of the one that follows it."""
-    return zip(plan.jobs, [*(job.name for job in plan.jobs[1:]), None], strict=True)
-
-
-def _ended_s(trial: Trial, following: str | None) -> float | None:
-    """When a job with this one behind it came to its end; None for one that stopped the run, or was not come to."""
-    if following is not None:
-        return trial.began_s.get(following)
-    return trial.duration_s if trial.exit_code in (ExitCode.OK, ExitCode.FLAGGED) else None
+def _ends_s(trial: Trial) -> dict[str, float]:
+    """When each job came to its end, by its name: as the next one began; not of one that stopped the run."""
+    ends_s = dict(zip(trial.began_s, [*trial.began_s.values()][1:], strict=False))
+    is_whole = all(one.id in trial.began_s for one in trial.samples)
+    if is_whole and trial.exit_code in (ExitCode.OK, ExitCode.FLAGGED):
+        ends_s |= dict.fromkeys([*trial.began_s][-1:], trial.duration_s)
+    return ends_s
 
 
 def _of_jobs(plan: Plan, times_s: Sequence[Mapping[str, float]]) -> dict[str, Range]:
@@ -156,18 +165,22 @@ def _seen(values: Sequence[float]) -> Range:
     return Range(float(low), float(middle), float(high))
 
 
-def _chances(plan: Plan, found: Sequence[Trial]) -> dict[str, Chance]:
+def _chances(plan: Plan, found: Sequence[Trial], *, as_written: bool) -> dict[str, Chance]:
     """Samples that ask for the same are one kind, and the kinds of a recipe are alike as far as their trials are.
 
     The rate of a kind is drawn from a beta distribution about the batch's, which is as narrow as the trials of all
     kinds tell: eight trials of one mass tell little, and those of its neighbours tell of it what they have in common.
+    A sample that asks for another thing in each trial, or is in some of them only, is a kind by itself.
     """
+    kinds: dict[str, object] = {}
+    if as_written:
+        kinds = {sample.id: _alike(sample) for sample in plan.recipe.samples}
     came: dict[object, list[bool]] = {}
-    by_id = [{one.id: one for one in trial.samples} for trial in found]
-    for sample in plan.recipe.samples:
-        came.setdefault(_alike(sample), []).extend(_good(names.get(sample.id)) for names in by_id)
+    for trial in found:
+        for one in trial.samples:
+            came.setdefault(kinds.setdefault(one.id, one.id), []).append(one.good)
     chances = dict(zip(came, _pooled([(sum(kind), len(kind)) for kind in came.values()]), strict=True))
-    return {sample.id: chances[_alike(sample)] for sample in plan.recipe.samples}
+    return {name: chances[kind] for name, kind in kinds.items() if kind in chances}
 
 
 def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
@@ -200,10 +213,6 @@ def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
     figures = zip(mean.tolist(), low.tolist(), high.tolist(), tried.tolist(), good.tolist(), strict=True)
     chances = [Chance(*one) for one in figures]
     return [chances[index] for index in which.reshape(-1)]
-
-
-def _good(one: SampleTrial | None) -> bool:
-    return one is not None and one.good
 
 
 def _alike(sample: Sample) -> object:

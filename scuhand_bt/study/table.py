@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,7 @@ def write_table(path: Path, trials: Sequence[tuple[Task, Trial]]) -> None:
     found = list(_rows(trials))
     try:
         if path.suffix.lower() == ".parquet":
-            import pyarrow
-            from pyarrow import parquet
-
-            parquet.write_table(pyarrow.Table.from_pylist(found), path)
+            _write_parquet(path, found)
             return
         with path.open("w", newline="", encoding="utf-8") as file:
             table = csv.DictWriter(file, found[0] if found else [])
@@ -30,6 +28,23 @@ def write_table(path: Path, trials: Sequence[tuple[Task, Trial]]) -> None:
         raise _cannot(path, "it needs pyarrow; `pip install 'scuhand-bt[study]'`") from None
     except OSError as error:
         raise _cannot(path, error.strerror or str(error)) from None
+
+
+def _write_parquet(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Numbers as such, and a column that is empty of the type that it has in other studies."""
+    import pyarrow
+    from pyarrow import parquet
+
+    for place in [name for name in (rows[0] if rows else ()) if "." in name]:
+        with suppress(ValueError):
+            numbers = [float(row[place]) for row in rows]
+            rows = [{**row, place: number} for row, number in zip(rows, numbers, strict=True)]
+    table = pyarrow.Table.from_pylist(rows)
+    for number, column in enumerate(table.schema):
+        if pyarrow.types.is_null(column.type):
+            kind = pyarrow.string() if column.name == "code" else pyarrow.float64()
+            table = table.set_column(number, column.name, table.column(number).cast(kind))
+    parquet.write_table(table, path)
 
 
 def _rows(trials: Sequence[tuple[Task, Trial]]) -> Iterator[dict[str, Any]]:

@@ -20,10 +20,13 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 from scipy.stats import qmc, sobol_indices, spearmanr
 
-from scuhand_bt.problems import Problems, SourceError
+from scuhand_bt.lab import load_lab
+from scuhand_bt.problems import Problem, Problems, SourceError
 from scuhand_bt.quantity import ANGLE, DENSITY, DURATION, LENGTH, MASS, RATIO, SPEED, VOLUME, parse
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.specs import Spec
-from scuhand_bt.study.change import Changes, file_of, with_value
+from scuhand_bt.study.change import Changes, changed, file_of, with_value
 from scuhand_bt.study.trial import Setup
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, load
@@ -146,6 +149,32 @@ def read_vary(path: Path, recipe: Path, lab: Path) -> Vary:
     problems.raise_any()
     assert vary is not None
     return vary
+
+
+def check_ends(draws: Sequence[Setup]) -> None:
+    """Check the draws with the least and the greatest of each place's numbers, or with each of its names.
+
+    SourceError for all that is wrong with them: else it would end a study when that draw is come to, and what was
+    tried until then is not of the file that is written instead.
+    """
+    values = [dict(draw.changes) for draw in draws]
+    ends: dict[Setup, None] = {}
+    for place in values[0]:
+        of_place = [str(one[place]) for one in values]
+        numbers = _numbers(of_place)
+        first = {name: of_place.index(name) for name in dict.fromkeys(of_place)} if numbers is None else {}
+        found = first.values() if numbers is None else (int(np.argmin(numbers)), int(np.argmax(numbers)))
+        ends |= dict.fromkeys(draws[number] for number in found)
+    problems: list[Problem] = []
+    for setup in ends:
+        try:
+            with changed(setup.recipe, setup.lab, setup.changes) as (recipe, folder):
+                lab = load_lab(folder)
+                make_plan(load_recipe(recipe, lab), lab)
+        except SourceError as error:
+            problems += error.problems
+    if problems:
+        raise SourceError(problems)
 
 
 def goes_with(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, float]:
