@@ -574,7 +574,12 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
         written = list(csv.DictReader(file))
     assert len(written) == 4 * 3
     assert {row[FLOW] for row in written} == {"40", "150"}
-    shown = command(*asked).stdout
+    picture = tmp_path / "came.svg"
+    shown = command(*asked, "--plot", picture).stdout
+    texts = re.findall("<!-- (.*?) -->", picture.read_text(encoding="utf-8"))  # beside their curves
+    drawn = " ".join(texts)
+    for words in ("4 dry runs (SIMULATED)", "how long a run takes", "beads", "what time depends on", "Spearman"):
+        assert words in drawn
     assert "By 4 dry runs" in shown
     assert "of 3 samples are to be expected" in shown
     assert "what duration_s depends on" in shown
@@ -587,6 +592,8 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
         (("--vary", "order.yaml", "--controller", "paper"), "--controller: it is what --vary names"),
         (("--dask", "tcp://127.0.0.1:1", "--workers", 2), "--workers: a Dask cluster has its own"),
         (("--vary", "order.yaml", "--optimise", 2, "-o", "x.csv"), "--output: a search proposes figures"),
+        (("--vary", "order.yaml", "--optimise", 2, "--plot", "x.png"), "--plot: a search proposes figures"),
+        (("--plot", "x.jpg"), "--plot: 'x.jpg' is to be a file of this kind: .png, .svg"),
         (("--trials", 10_000_000), "--trials: these are 10000000 dry runs, and 1000000 the most"),
         (("--first-seed", 10**19), "--first-seed"),
     ],

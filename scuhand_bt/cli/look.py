@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import PAGES, JournalArgument, LabOption, app, of_kind, out, the_lab, unknown
+from scuhand_bt.cli.shared import PAGES, JournalArgument, LabOption, app, of_kind, out, the_lab, unknown, write_picture
 from scuhand_bt.quantity import ANGLE, MASS, parse
 
 if TYPE_CHECKING:
@@ -135,10 +135,5 @@ def _tell_directions(lab: "Lab") -> None:
 
 
 def _write(path: Path, write: Callable[[], object]) -> None:
-    try:
-        write()
-    except OSError as error:
-        raise typer.BadParameter(f"'{path}' cannot be written: {error.strerror}") from None
-    except ModuleNotFoundError as error:
-        raise typer.BadParameter(f"'{path}' needs {error.name}: pip install 'scuhand-bt[plot]'") from None
+    write_picture(path, write)
     out.print(Text(f"Written: {path}"))

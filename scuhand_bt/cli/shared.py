@@ -218,3 +218,13 @@ def of_kind(path: Path, *suffixes: str, option: str = "--output") -> Path:
     if path.suffix.lower() not in suffixes:
         raise typer.BadParameter(f"'{path}' is to be a file of this kind: {', '.join(suffixes)}", param_hint=option)
     return path
+
+
+def write_picture(path: Path, write: Callable[[], object]) -> None:
+    """Draw into a file. Raises BadParameter where that cannot be, or where the extra that draws is missing."""
+    try:
+        write()
+    except OSError as error:
+        raise typer.BadParameter(f"'{path}' cannot be written: {error.strerror}") from None
+    except ModuleNotFoundError as error:
+        raise typer.BadParameter(f"'{path}' needs {error.name}: pip install 'scuhand-bt[plot]'") from None

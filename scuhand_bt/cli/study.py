@@ -11,7 +11,18 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, RecipeArgument, app, err, of_kind, out, print_json, the_plan
+from scuhand_bt.cli.shared import (
+    JsonFlag,
+    LabOption,
+    RecipeArgument,
+    app,
+    err,
+    of_kind,
+    out,
+    print_json,
+    the_plan,
+    write_picture,
+)
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
@@ -43,11 +54,15 @@ def study(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Every sample of every trial, as CSV or Parquet.")
     ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Draw what it came to (PNG or SVG; needs the extra `plot`).")
+    ] = None,
     lab: LabOption = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Dry-run a recipe many times: its odds, and what they depend on. One that breaks off goes on where it was."""
     from scuhand_bt.api import check_controller
+    from scuhand_bt.report import plot_study
     from scuhand_bt.study import (
         TABLE_KINDS,
         Setup,
@@ -62,10 +77,11 @@ def study(
         write_table,
     )
 
-    if output is not None:
-        of_kind(output, *TABLE_KINDS)
-        if optimise is not None:
-            raise typer.BadParameter("a search proposes figures, and writes no table", param_hint="--output")
+    for hint, file, kinds in (("--output", output, TABLE_KINDS), ("--plot", plot, (".png", ".svg"))):
+        if file is not None:
+            of_kind(file, *kinds, option=hint)
+            if optimise is not None:
+                raise typer.BadParameter("a search proposes figures, and writes nothing else", param_hint=hint)
     if dask is not None and workers is not None:
         raise typer.BadParameter("a Dask cluster has its own", param_hint="--workers")
     check_controller(controller)
@@ -102,6 +118,8 @@ def study(
     as_written = varied is None or not any(place.startswith("recipe.") for place in varied.vary)
     odds = odds_of(made, [one for _, one in ordered], as_written=as_written)
     dominant = _dominant(varied, draws, ordered) if varied is not None else {}
+    if plot is not None:
+        write_picture(plot, lambda: plot_study(odds, [one for _, one in ordered], dominant, plot, made.recipe.name))
     if as_json:
         print_json({**asdict(odds), "draws": len(apart), "indices": dominant})
         return

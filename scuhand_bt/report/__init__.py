@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from scuhand_bt.report.run_story import chain_line, header_lines, told
     from scuhand_bt.report.scoop_reach import directions
     from scuhand_bt.report.show_move import shown_move
+    from scuhand_bt.report.study_plot import plot_study
     from scuhand_bt.report.watching import shown_of
     from scuhand_bt.report.weighing_record import weighing_csv, weighing_lines
 else:
@@ -45,6 +46,7 @@ else:
             "report.run_story": "chain_line header_lines told",
             "report.scoop_reach": "directions",
             "report.show_move": "shown_move",
+            "report.study_plot": "plot_study",
             "report.watching": "shown_of",
             "report.weighing_record": "weighing_csv weighing_lines",
         },
@@ -73,6 +75,7 @@ __all__ = [
     "page_of_move",
     "page_of_run",
     "plot_dose",
+    "plot_study",
     "preview_page",
     "proof_of",
     "reach_page",
