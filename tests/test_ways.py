@@ -134,12 +134,20 @@ def test_where_a_mortar_may_stand_is_told_in_the_figures_of_its_frame(lab: LabFo
     assert position_mm == pytest.approx((280.0, 200.0, 3.0), abs=0.1), "the nearest of the places about the arm"
 
 
+BAR_OBJ = """
+v -100 -10 -4\nv 100 -10 -4\nv 100 10 -4\nv -100 10 -4\nv -100 -10 4\nv 100 -10 4\nv 100 10 4\nv -100 10 4
+f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 2 3 7\nf 2 7 6\nf 3 4 8\nf 3 8 7\nf 4 1 5\nf 4 5 8
+"""
+
+
 @pytest.mark.slow
-def test_a_mortar_is_proposed_to_stand_in_no_box_that_is_turned(lab: LabFolder) -> None:
+@pytest.mark.parametrize("shape", ["box: [200 mm, 20 mm, 8 mm]", "mesh: bar.obj"])
+def test_a_mortar_is_proposed_to_stand_in_no_box_that_is_turned(lab: LabFolder, shape: str) -> None:
+    """Nor in a mesh: what is so low is in no way of the arm, but in the mortar's."""
+    lab.write("robot/bar.obj", BAR_OBJ)
     here = "mortar_bay:   {kind: mortar,  position: [200 mm,  240 mm, 0 mm]"
     lab.replace("robot/cell.yaml", here, here.replace("200 mm,  240 mm, 0 mm", "420 mm, 180 mm, 0 mm"))
-    bar = "  - {name: bar, box: [200 mm, 20 mm, 8 mm], at: [280 mm, 320 mm, 4 mm], yaw: 0 deg}\n"
-    stands(lab, bar)
+    stands(lab, f"  - {{name: bar, {shape}, at: [280 mm, 320 mm, 4 mm], yaw: 0 deg}}\n")
     beside = "With 'mortar_bay' at [280 mm, 200 mm, 0 mm]"
     (message,) = blocked(lab)
     assert beside in message

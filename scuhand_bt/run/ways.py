@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scuhand_bt.bench_spec import Point, Station, turned
+from scuhand_bt.bench_spec import Obstacle, Point, Station, turned
 from scuhand_bt.cell.cell import carrying_limit_deg
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.scooping import planned_stroke
@@ -27,10 +27,11 @@ from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion.cell_solids import are_in_each_other, full_mortar, solids_of
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.recipe.sample import Demand
-from scuhand_bt.specs import ContainerKind, Source
+from scuhand_bt.specs import ContainerKind, Mortar, Source
 
 STEP_DEG = 30
 """Between the directions in which a stroke is looked for."""
@@ -43,7 +44,8 @@ OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 """Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
 STANDS_MM = (20.0, 40.0)
 """Or on a stand, as high as this, where it is: handle and wrist come low beside a mortar that is flat and thin."""
-BESIDE_MM = 10.0
+BESIDE_MM, STOOD_ON_MM = 10.0, 1.0
+"""What it is to be clear of what stands beside it; and what comes no higher than that is under it."""
 
 
 class MortarStandsBadly(SkillFailed):
@@ -252,7 +254,9 @@ def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], s
         elif solid.cylinder_mm is not None:
             (deep_mm, high_mm), wide_mm = solid.cylinder_mm, solid.cylinder_mm[0]
         else:
-            continue  # a mesh: the planner looks at it
+            if _stands_in_mesh(solid, place_mm, source.mortar):
+                return False
+            continue
         is_as_high = abs(solid.at_mm[2] - place_mm[2] - source.mortar.height_mm / 2) < (
             (high_mm + source.mortar.height_mm) / 2
         )
@@ -261,6 +265,19 @@ def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], s
         if is_as_high and abs(x_mm) < wide_mm / 2 + half_mm and abs(y_mm) < deep_mm / 2 + half_mm:
             return False
     return True
+
+
+def _stands_in_mesh(solid: Obstacle, place_mm: Point, mortar: Mortar) -> bool:
+    """Whether its surface is where the mortar would be, but for what that stands on.
+
+    In one that encloses it no way of the arm is found.
+    """
+    x_mm, y_mm, z_mm = place_mm
+    there = Station(name="there", kind="mortar", position_mm=(x_mm, y_mm, z_mm + STOOD_ON_MM))
+    height_mm = mortar.height_mm - STOOD_ON_MM
+    wide = {"outer_diameter_mm": mortar.outer_diameter_mm + 2 * BESIDE_MM, "height_mm": height_mm}
+    (surface,) = solids_of([solid])
+    return are_in_each_other(full_mortar(there, mortar.model_copy(update=wide)), surface)
 
 
 def _out_of_mortar(motion: MotionPlanner, cell: CellSpec, source: Source, end: Joints, rim_mm: float) -> None:
