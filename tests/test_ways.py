@@ -73,6 +73,39 @@ def test_a_mortar_that_cannot_be_scooped_from_anywhere_is_told_where_the_recipe_
     assert "container: dish" in recipe.read_text().splitlines()[problem.mark.line - 1]
 
 
+def test_a_mortar_that_stands_badly_and_cannot_be_scooped_from_anywhere_is_told_to_be_the_second(
+    lab: LabFolder,
+) -> None:
+    dish = "bore: 120 mm, depth: 10 mm, height: 45 mm, outer_diameter: 130 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  dish: {{{dish}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
+    lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[330 mm, 60 mm, 60 mm]")
+    (problem,) = found(lab, "no-path")
+    assert problem.message.endswith("take a deeper mortar, or a larger one")
+    assert problem.mark.file == str(recipe)
+
+
+@pytest.mark.slow
+def test_of_two_mortars_that_stand_badly_one_is_proposed_a_place_and_then_the_other(lab: LabFolder) -> None:
+    """Over the second the arm cannot even stand: it is to have no way there as long as the first is looked for."""
+    recipe = lab.folder / "recipes" / "one.yaml"
+    more = (
+        "  more: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, amount: 5 g, lot: B}\nsamples:\n"
+    )
+    sample = "  - {id: b, source: more, container: xrd_holder, mass: 50 mg}\n"
+    recipe.write_text(recipe.read_text().replace("samples:\n", more) + sample)
+    lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[460 mm, 230 mm, 0 mm]")
+    lab.replace("robot/cell.yaml", "[200 mm, -240 mm, 0 mm]", "[290 mm, -90 mm, 0 mm]")
+    for station, stood in (("mortar_bay", "[460 mm, 230 mm, 0 mm]"), ("mortar_bay_2", "[290 mm, -90 mm, 0 mm]")):
+        (message,) = blocked(lab)
+        assert f"{station}'" in message.split(". With")[0] or f"at {station} " in message, "why, of the same one"
+        proposed = re.search(rf"With '{station}' at (\[.*\]) it can scoop there", message)
+        assert proposed is not None, message
+        lab.replace("robot/cell.yaml", stood, proposed[1])
+    assert blocked(lab) == []
+
+
 def test_a_bowl_of_which_a_stroke_may_bring_next_to_nothing_is_told_before_a_run_takes_it_for_empty(
     lab: LabFolder,
 ) -> None:

@@ -8,7 +8,7 @@ with and in the one that it leaves, with the way out of it.
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -75,13 +75,16 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
         _ways(motion, plan, cell, kinds, scooped)
     except MortarCannotBeScooped:
         raise
-    except SkillFailed as failure:
-        badly = [demand for demand in scooped if _stands_badly(motion, cell, kinds, demand)]
+    except SkillFailed:
+        lacks = [_lacks(motion, cell, kinds, demand) for demand in scooped]
+        badly = [(demand, lack) for demand, lack in zip(scooped, lacks, strict=True) if lack is not None]
         if not badly:
             raise
-        others = [badly[0], *(demand for demand in scooped if demand not in badly)]
-        where = _elsewhere(motion, plan, cell, kinds, others)
-        raise MortarStandsBadly(failure.code, f"{failure.detail}. {where}", badly[0].source.station) from None
+        (first, why), *others = badly
+        left_out = {demand.source.station for demand, _ in others}
+        rest = [demand for demand, lack in zip(scooped, lacks, strict=True) if lack is None]
+        where = _elsewhere(motion, plan, cell, kinds, [first, *rest], left_out)
+        raise MortarStandsBadly(why.code, f"{why.detail}. {where}", first.source.station) from None
 
 
 def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> list[tuple[str, str, float]]:
@@ -90,16 +93,18 @@ def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> 
     return [(source.station, place, _limit_deg(cell, source)) for place in dict.fromkeys(goes_to)]
 
 
-def _stands_badly(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], demand: Demand) -> bool:
-    """Whether a mortar, where it stands, cannot be stood over, carried from, or scooped from."""
+def _lacks(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], demand: Demand) -> SkillFailed | None:
+    """Why a mortar, where it stands, cannot be stood over, carried from, or scooped from; None where it can."""
     source = demand.source
     try:
         motion.set_geometry()
         for station, place, limit_deg in _carries(cell, source, kinds):
             motion.move(motion.standing_at(station), place, spill_limit_deg=limit_deg)
-        return any(_why_no_stroke(motion, cell, source, bed_mg) for bed_mg in _beds_mg(demand))
-    except SkillFailed:
-        return True
+        for bed_mg in _beds_mg(demand):
+            _stroke(motion, cell, source, bed_mg)
+    except SkillFailed as failure:
+        return failure
+    return None
 
 
 def _beds_mg(demand: Demand) -> list[float]:
@@ -190,12 +195,18 @@ def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg
 
 
 def _elsewhere(
-    motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
+    motion: MotionPlanner,
+    plan: Plan,
+    cell: CellSpec,
+    kinds: Sequence[ContainerKind],
+    scooped: Sequence[Demand],
+    left_out: Collection[str],
 ) -> str:
     """Where the first one's mortar might stand, of some places about the arm the nearest that has all ways, or else
     where it is, higher; a sentence.
 
-    All are looked at with the mortar there: strokes, loads carried to the pan, and the same for the others.
+    All are looked at with the mortar there: strokes, loads carried to the pan, and the same for the others. To the
+    stations that are left out, which are to be moved as well, nothing has a way.
     """
     source = scooped[0].source
     station = cell.stations[source.station]
@@ -217,12 +228,15 @@ def _elsewhere(
         moved = cell.model_copy(update={"stations": {**cell.stations, station.name: there}})
         sources = plan.recipe.sources
         planner = MotionPlanner(motion.urdf, moved, {one.station: one.mortar for one in sources.values()})
+        gone_to = {name: one for name, one in sources.items() if one.station not in left_out}
         try:
-            for name, position_mm in all_places(moved, sources, kinds).items():
+            for name, position_mm in all_places(moved, gone_to, kinds).items():
                 planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
             for bed_mg in _beds_mg(scooped[0]):  # mostly what fails, and soon known beside all ways between places
                 _stroke(planner, moved, source, bed_mg)
             _ways(planner, plan, moved, kinds, scooped)
+        except MortarCannotBeScooped:
+            raise
         except SkillFailed:
             continue
         at = ", ".join(f"{mm:g} mm" for mm in written_mm)
