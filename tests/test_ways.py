@@ -6,7 +6,7 @@ import re
 import pytest
 from conftest import Call, LabFolder
 
-from harness.own_workflow import TREE, write_own
+from harness.own_workflow import RECIPE, TREE, write_own
 from scuhand_bt.lab import read_lab
 from scuhand_bt.problems import Problem
 from scuhand_bt.run.checking import check
@@ -118,6 +118,21 @@ def test_a_bowl_of_which_a_stroke_may_bring_next_to_nothing_is_told_before_a_run
     (problem,) = found(lab, "no-path")
     assert re.search(r"a stroke in this bowl brings [\d.]+ mg without a heap over its edge", problem.message)
     assert problem.mark.file == str(recipe)
+
+
+@pytest.mark.parametrize(("mass", "cannot"), [("300 mg", True), ("50 mg", False)])
+def test_a_bowl_that_gives_little_at_a_time_is_refused_where_that_is_less_than_what_is_needed(
+    lab: LabFolder, mass: str, cannot: bool
+) -> None:
+    cup = "bore: 57 mm, depth: 20 mm, height: 32 mm, outer_diameter: 77 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  cup: {{{cup}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    said = re.sub(
+        r"container: \w*agate_mortar, powder: glass_beads", "container: cup, powder: titanium_dioxide", RECIPE
+    )
+    recipe.write_text(said.replace("xrd_holder, mass: 50 mg", f"alumina_crucible, mass: {mass}"))
+    told = [message for message in blocked(lab) if re.search("a stroke in this bowl brings", message)]
+    assert len(told) == cannot
 
 
 @pytest.mark.parametrize(

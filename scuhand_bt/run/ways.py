@@ -21,7 +21,7 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.dosing.ladle import Ladle, NoStrokeError
+from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
@@ -39,6 +39,9 @@ LEAST_BED_MG = 30.0
 """Less in a mortar is not scooped any more."""
 WORTH_SHARE = 0.01
 """Of bed and load a stroke brings as much at least, or `LEAST_BED_MG`: a run takes less for that of an empty mortar."""
+FIRST_SHARE = 0.08
+"""Of bed and load a first stroke brings so much at least, or all that is needed. In dry runs of 8 doses of 500 mg of MSG
+out of bowls of 55, 57 and 58 mm, where it is 0.01, 0.04 and 0.07, one at most came; where it is 0.12 (60 mm), five."""
 LOWERING_M_PER_S = 0.06
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 """Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
@@ -71,6 +74,10 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
     where MortarCannotBeScooped is raised.
     """
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
+    for demand in scooped:
+        source = demand.source
+        worth_mg = FIRST_SHARE * min(source.amount_mg, source.powder.load_limit_mg)
+        _stroke_worth(cell, source, source.amount_mg, min(worth_mg, demand.needed_mg))
     try:
         _ways(motion, plan, cell, kinds, scooped)
     except MortarCannotBeScooped:
@@ -163,19 +170,25 @@ def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float
         raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
 
-def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
-    """Empty where one is possible. MortarCannotBeScooped where none is of what lies there, wherever it stands."""
-    hand, mortar = cell.hand, source.mortar
-    bed = Bed(mortar, bed_mg, source.powder)
+def _stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> Stroke:
+    """What is made in such a bed; MortarCannotBeScooped where it brings less than is worth it."""
+    bed, slant_mm = Bed(source.mortar, bed_mg, source.powder), cell.hand.sheet_radius_mm
     try:
-        stroke = chosen(bed, hand.sheet_radius_mm, source.powder.load_limit_mg)
+        stroke = chosen(bed, slant_mm, source.powder.load_limit_mg)
     except NoStrokeError as error:
         raise MortarCannotBeScooped(source.name, str(error)) from None
-    worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
-    if (brings_mg := expected_mg(stroke, bed, hand.sheet_radius_mm)) < worth_mg:
+    if (brings_mg := expected_mg(stroke, bed, slant_mm)) < worth_mg:
         brings = f"of {format_mass(bed_mg)} a stroke in this bowl brings {format_mass(brings_mg)}"
         why = f"{brings} without a heap over its edge; take a deeper mortar, or a larger one"
         raise MortarCannotBeScooped(source.name, why)
+    return stroke
+
+
+def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
+    """Empty where one is possible. MortarCannotBeScooped where none is of what lies there, wherever it stands."""
+    hand, mortar = cell.hand, source.mortar
+    worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
+    stroke = _stroke_worth(cell, source, bed_mg, worth_mg)
     x_mm, y_mm, _ = cell.stations[source.station].position_mm
     across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
     begin, why = motion.standing_at(source.station), ""
