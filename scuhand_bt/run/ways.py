@@ -41,7 +41,7 @@ WORTH_SHARE = 0.01
 """Of bed and load a stroke brings as much at least, or `LEAST_BED_MG`: a run takes less for that of an empty mortar."""
 FIRST_SHARE = 0.08
 """Of bed and load a first stroke brings so much at least, or all that is needed. In dry runs of 8 doses of 500 mg of
-MSG out of bowls of 55, 57 and 58 mm, where it is 0.01, 0.04 and 0.07, one at most came; where it is 0.12 (60 mm), five."""
+MSG, from bowls of 55 to 58 mm, where it is 0.01 to 0.07, one at most came; from one of 60 mm (0.12) five."""
 LOWERING_M_PER_S = 0.06
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 """Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
