@@ -6,7 +6,7 @@ import re
 import pytest
 from conftest import Call, LabFolder
 
-from harness.own_workflow import TREE, write_own
+from harness.own_workflow import RECIPE, TREE, write_own
 from scuhand_bt.lab import read_lab
 from scuhand_bt.problems import Problem
 from scuhand_bt.run.checking import check
@@ -73,6 +73,39 @@ def test_a_mortar_that_cannot_be_scooped_from_anywhere_is_told_where_the_recipe_
     assert "container: dish" in recipe.read_text().splitlines()[problem.mark.line - 1]
 
 
+def test_a_mortar_that_stands_badly_and_cannot_be_scooped_from_anywhere_is_told_to_be_the_second(
+    lab: LabFolder,
+) -> None:
+    dish = "bore: 120 mm, depth: 10 mm, height: 45 mm, outer_diameter: 130 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  dish: {{{dish}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
+    lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[330 mm, 60 mm, 60 mm]")
+    (problem,) = found(lab, "no-path")
+    assert problem.message.endswith("take a deeper mortar, or a larger one")
+    assert problem.mark.file == str(recipe)
+
+
+@pytest.mark.slow
+def test_of_two_mortars_that_stand_badly_one_is_proposed_a_place_and_then_the_other(lab: LabFolder) -> None:
+    """Over the second the arm cannot even stand: it is to have no way there as long as the first is looked for."""
+    recipe = lab.folder / "recipes" / "one.yaml"
+    more = (
+        "  more: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, amount: 5 g, lot: B}\nsamples:\n"
+    )
+    sample = "  - {id: b, source: more, container: xrd_holder, mass: 50 mg}\n"
+    recipe.write_text(recipe.read_text().replace("samples:\n", more) + sample)
+    lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[460 mm, 230 mm, 0 mm]")
+    lab.replace("robot/cell.yaml", "[200 mm, -240 mm, 0 mm]", "[290 mm, -90 mm, 0 mm]")
+    for station, stood in (("mortar_bay", "[460 mm, 230 mm, 0 mm]"), ("mortar_bay_2", "[290 mm, -90 mm, 0 mm]")):
+        (message,) = blocked(lab)
+        assert f"{station}'" in message.split(". With")[0] or f"at {station} " in message, "why, of the same one"
+        proposed = re.search(rf"With '{station}' at (\[.*\]) it can scoop there", message)
+        assert proposed is not None, message
+        lab.replace("robot/cell.yaml", stood, proposed[1])
+    assert blocked(lab) == []
+
+
 def test_a_bowl_of_which_a_stroke_may_bring_next_to_nothing_is_told_before_a_run_takes_it_for_empty(
     lab: LabFolder,
 ) -> None:
@@ -85,6 +118,21 @@ def test_a_bowl_of_which_a_stroke_may_bring_next_to_nothing_is_told_before_a_run
     (problem,) = found(lab, "no-path")
     assert re.search(r"a stroke in this bowl brings [\d.]+ mg without a heap over its edge", problem.message)
     assert problem.mark.file == str(recipe)
+
+
+@pytest.mark.parametrize(("mass", "cannot"), [("300 mg", True), ("50 mg", False)])
+def test_a_bowl_that_gives_little_at_a_time_is_refused_where_that_is_less_than_what_is_needed(
+    lab: LabFolder, mass: str, cannot: bool
+) -> None:
+    cup = "bore: 57 mm, depth: 20 mm, height: 32 mm, outer_diameter: 77 mm"
+    lab.write("robot/containers.yaml", (lab.folder / "robot" / "containers.yaml").read_text() + f"  cup: {{{cup}}}\n")
+    recipe = lab.folder / "recipes" / "one.yaml"
+    said = re.sub(
+        r"container: \w*agate_mortar, powder: glass_beads", "container: cup, powder: titanium_dioxide", RECIPE
+    )
+    recipe.write_text(said.replace("xrd_holder, mass: 50 mg", f"alumina_crucible, mass: {mass}"))
+    told = [message for message in blocked(lab) if re.search("a stroke in this bowl brings", message)]
+    assert len(told) == cannot
 
 
 @pytest.mark.parametrize(
@@ -134,12 +182,20 @@ def test_where_a_mortar_may_stand_is_told_in_the_figures_of_its_frame(lab: LabFo
     assert position_mm == pytest.approx((280.0, 200.0, 3.0), abs=0.1), "the nearest of the places about the arm"
 
 
+BAR_OBJ = """
+v -100 -10 -4\nv 100 -10 -4\nv 100 10 -4\nv -100 10 -4\nv -100 -10 4\nv 100 -10 4\nv 100 10 4\nv -100 10 4
+f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 2 3 7\nf 2 7 6\nf 3 4 8\nf 3 8 7\nf 4 1 5\nf 4 5 8
+"""
+
+
 @pytest.mark.slow
-def test_a_mortar_is_proposed_to_stand_in_no_box_that_is_turned(lab: LabFolder) -> None:
+@pytest.mark.parametrize("shape", ["box: [200 mm, 20 mm, 8 mm]", "mesh: bar.obj"])
+def test_a_mortar_is_proposed_to_stand_in_no_box_that_is_turned(lab: LabFolder, shape: str) -> None:
+    """Nor in a mesh: what is so low is in no way of the arm, but in the mortar's."""
+    lab.write("robot/bar.obj", BAR_OBJ)
     here = "mortar_bay:   {kind: mortar,  position: [200 mm,  240 mm, 0 mm]"
     lab.replace("robot/cell.yaml", here, here.replace("200 mm,  240 mm, 0 mm", "420 mm, 180 mm, 0 mm"))
-    bar = "  - {name: bar, box: [200 mm, 20 mm, 8 mm], at: [280 mm, 320 mm, 4 mm], yaw: 0 deg}\n"
-    stands(lab, bar)
+    stands(lab, f"  - {{name: bar, {shape}, at: [280 mm, 320 mm, 4 mm], yaw: 0 deg}}\n")
     beside = "With 'mortar_bay' at [280 mm, 200 mm, 0 mm]"
     (message,) = blocked(lab)
     assert beside in message

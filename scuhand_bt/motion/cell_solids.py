@@ -10,8 +10,10 @@ Metres and radians, base frame.
 import math
 from collections.abc import Iterable
 
+import coal
+
 from scuhand_bt.bench_spec import Obstacle, Station
-from scuhand_bt.motion.collision import Solid
+from scuhand_bt.motion.collision import SMALLEST_MARGIN_M, Solid
 from scuhand_bt.motion.meshes import read_mesh
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -70,6 +72,15 @@ def hollow_mortar(station: Station, mortar: Mortar) -> list[Solid]:
             name = f"{station.name} wall {ring}.{k}"
             solids.append(Solid(name, centre_m, box_m=(thick_m, side_m, ring_m), yaw_rad=yaw))
     return solids
+
+
+def are_in_each_other(first: Solid, second: Solid) -> bool:
+    """Whether two solids overlap. Of a mesh its surface counts: what is all within one is not seen."""
+    found, asked = coal.CollisionResult(), coal.CollisionRequest()
+    asked.security_margin = SMALLEST_MARGIN_M
+    places = [coal.Transform3s(at.rotation, at.translation) for at in (first.placement(), second.placement())]
+    coal.collide(first.shape(), places[0], second.shape(), places[1], asked, found)
+    return bool(found.isCollision())
 
 
 def container(station: Station, kind: ContainerKind) -> Solid:

@@ -8,12 +8,12 @@ with and in the one that it leaves, with the way out of it.
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from scuhand_bt.bench_spec import Point, Station, turned
+from scuhand_bt.bench_spec import Obstacle, Point, Station, turned
 from scuhand_bt.cell.cell import carrying_limit_deg
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.scooping import planned_stroke
@@ -21,16 +21,17 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.dosing.ladle import Ladle, NoStrokeError
+from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion.cell_solids import are_in_each_other, full_mortar, solids_of
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.recipe.sample import Demand
-from scuhand_bt.specs import ContainerKind, Source
+from scuhand_bt.specs import ContainerKind, Mortar, Source
 
 STEP_DEG = 30
 """Between the directions in which a stroke is looked for."""
@@ -38,12 +39,16 @@ LEAST_BED_MG = 30.0
 """Less in a mortar is not scooped any more."""
 WORTH_SHARE = 0.01
 """Of bed and load a stroke brings as much at least, or `LEAST_BED_MG`: a run takes less for that of an empty mortar."""
+FIRST_SHARE = 0.08
+"""Of bed and load a first stroke brings so much at least, or all that is needed. In dry runs of 8 doses of 500 mg of
+MSG, from bowls of 55 to 58 mm, where it is 0.01 to 0.07, one at most came; from one of 60 mm (0.12) five."""
 LOWERING_M_PER_S = 0.06
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 """Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
 STANDS_MM = (20.0, 40.0)
 """Or on a stand, as high as this, where it is: handle and wrist come low beside a mortar that is flat and thin."""
-BESIDE_MM = 10.0
+BESIDE_MM, STOOD_ON_MM = 10.0, 1.0
+"""What it is to be clear of what stands beside it; and what comes no higher than that is under it."""
 
 
 class MortarStandsBadly(SkillFailed):
@@ -69,17 +74,24 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
     where MortarCannotBeScooped is raised.
     """
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
+    for demand in scooped:
+        source = demand.source
+        worth_mg = FIRST_SHARE * min(source.amount_mg, source.powder.load_limit_mg)
+        _stroke_worth(cell, source, source.amount_mg, min(worth_mg, demand.needed_mg))
     try:
         _ways(motion, plan, cell, kinds, scooped)
     except MortarCannotBeScooped:
         raise
-    except SkillFailed as failure:
-        badly = [demand for demand in scooped if _stands_badly(motion, cell, kinds, demand)]
+    except SkillFailed:
+        lacks = [_lacks(motion, cell, kinds, demand) for demand in scooped]
+        badly = [(demand, lack) for demand, lack in zip(scooped, lacks, strict=True) if lack is not None]
         if not badly:
             raise
-        others = [badly[0], *(demand for demand in scooped if demand not in badly)]
-        where = _elsewhere(motion, plan, cell, kinds, others)
-        raise MortarStandsBadly(failure.code, f"{failure.detail}. {where}", badly[0].source.station) from None
+        (first, why), *others = badly
+        left_out = {demand.source.station for demand, _ in others}
+        rest = [demand for demand, lack in zip(scooped, lacks, strict=True) if lack is None]
+        where = _elsewhere(motion, plan, cell, kinds, [first, *rest], left_out)
+        raise MortarStandsBadly(why.code, f"{why.detail}. {where}", first.source.station) from None
 
 
 def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> list[tuple[str, str, float]]:
@@ -88,16 +100,18 @@ def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> 
     return [(source.station, place, _limit_deg(cell, source)) for place in dict.fromkeys(goes_to)]
 
 
-def _stands_badly(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], demand: Demand) -> bool:
-    """Whether a mortar, where it stands, cannot be stood over, carried from, or scooped from."""
+def _lacks(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], demand: Demand) -> SkillFailed | None:
+    """Why a mortar, where it stands, cannot be stood over, carried from, or scooped from; None where it can."""
     source = demand.source
     try:
         motion.set_geometry()
         for station, place, limit_deg in _carries(cell, source, kinds):
             motion.move(motion.standing_at(station), place, spill_limit_deg=limit_deg)
-        return any(_why_no_stroke(motion, cell, source, bed_mg) for bed_mg in _beds_mg(demand))
-    except SkillFailed:
-        return True
+        for bed_mg in _beds_mg(demand):
+            _stroke(motion, cell, source, bed_mg)
+    except SkillFailed as failure:
+        return failure
+    return None
 
 
 def _beds_mg(demand: Demand) -> list[float]:
@@ -156,19 +170,25 @@ def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float
         raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
 
-def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
-    """Empty where one is possible. MortarCannotBeScooped where none is of what lies there, wherever it stands."""
-    hand, mortar = cell.hand, source.mortar
-    bed = Bed(mortar, bed_mg, source.powder)
+def _stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> Stroke:
+    """What is made in such a bed; MortarCannotBeScooped where it brings less than is worth it."""
+    bed, slant_mm = Bed(source.mortar, bed_mg, source.powder), cell.hand.sheet_radius_mm
     try:
-        stroke = chosen(bed, hand.sheet_radius_mm, source.powder.load_limit_mg)
+        stroke = chosen(bed, slant_mm, source.powder.load_limit_mg)
     except NoStrokeError as error:
         raise MortarCannotBeScooped(source.name, str(error)) from None
-    worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
-    if (brings_mg := expected_mg(stroke, bed, hand.sheet_radius_mm)) < worth_mg:
+    if (brings_mg := expected_mg(stroke, bed, slant_mm)) < worth_mg:
         brings = f"of {format_mass(bed_mg)} a stroke in this bowl brings {format_mass(brings_mg)}"
         why = f"{brings} without a heap over its edge; take a deeper mortar, or a larger one"
         raise MortarCannotBeScooped(source.name, why)
+    return stroke
+
+
+def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
+    """Empty where one is possible. MortarCannotBeScooped where none is of what lies there, wherever it stands."""
+    hand, mortar = cell.hand, source.mortar
+    worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
+    stroke = _stroke_worth(cell, source, bed_mg, worth_mg)
     x_mm, y_mm, _ = cell.stations[source.station].position_mm
     across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
     begin, why = motion.standing_at(source.station), ""
@@ -188,12 +208,18 @@ def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg
 
 
 def _elsewhere(
-    motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
+    motion: MotionPlanner,
+    plan: Plan,
+    cell: CellSpec,
+    kinds: Sequence[ContainerKind],
+    scooped: Sequence[Demand],
+    left_out: Collection[str],
 ) -> str:
     """Where the first one's mortar might stand, of some places about the arm the nearest that has all ways, or else
     where it is, higher; a sentence.
 
-    All are looked at with the mortar there: strokes, loads carried to the pan, and the same for the others.
+    All are looked at with the mortar there: strokes, loads carried to the pan, and the same for the others. To the
+    stations that are left out, which are to be moved as well, nothing has a way.
     """
     source = scooped[0].source
     station = cell.stations[source.station]
@@ -215,12 +241,15 @@ def _elsewhere(
         moved = cell.model_copy(update={"stations": {**cell.stations, station.name: there}})
         sources = plan.recipe.sources
         planner = MotionPlanner(motion.urdf, moved, {one.station: one.mortar for one in sources.values()})
+        gone_to = {name: one for name, one in sources.items() if one.station not in left_out}
         try:
-            for name, position_mm in all_places(moved, sources, kinds).items():
+            for name, position_mm in all_places(moved, gone_to, kinds).items():
                 planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
             for bed_mg in _beds_mg(scooped[0]):  # mostly what fails, and soon known beside all ways between places
                 _stroke(planner, moved, source, bed_mg)
             _ways(planner, plan, moved, kinds, scooped)
+        except MortarCannotBeScooped:
+            raise
         except SkillFailed:
             continue
         at = ", ".join(f"{mm:g} mm" for mm in written_mm)
@@ -252,7 +281,9 @@ def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], s
         elif solid.cylinder_mm is not None:
             (deep_mm, high_mm), wide_mm = solid.cylinder_mm, solid.cylinder_mm[0]
         else:
-            continue  # a mesh: the planner looks at it
+            if _stands_in_mesh(solid, place_mm, source.mortar):
+                return False
+            continue
         is_as_high = abs(solid.at_mm[2] - place_mm[2] - source.mortar.height_mm / 2) < (
             (high_mm + source.mortar.height_mm) / 2
         )
@@ -261,6 +292,19 @@ def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], s
         if is_as_high and abs(x_mm) < wide_mm / 2 + half_mm and abs(y_mm) < deep_mm / 2 + half_mm:
             return False
     return True
+
+
+def _stands_in_mesh(solid: Obstacle, place_mm: Point, mortar: Mortar) -> bool:
+    """Whether its surface is where the mortar would be, but for what that stands on.
+
+    In one that encloses it no way of the arm is found.
+    """
+    x_mm, y_mm, z_mm = place_mm
+    there = Station(name="there", kind="mortar", position_mm=(x_mm, y_mm, z_mm + STOOD_ON_MM))
+    height_mm = mortar.height_mm - STOOD_ON_MM
+    wide = {"outer_diameter_mm": mortar.outer_diameter_mm + 2 * BESIDE_MM, "height_mm": height_mm}
+    (surface,) = solids_of([solid])
+    return are_in_each_other(full_mortar(there, mortar.model_copy(update=wide)), surface)
 
 
 def _out_of_mortar(motion: MotionPlanner, cell: CellSpec, source: Source, end: Joints, rim_mm: float) -> None:
