@@ -578,7 +578,7 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
     shown = command(*asked, "--plot", picture).stdout
     texts = re.findall("<!-- (.*?) -->", picture.read_text(encoding="utf-8"))  # beside their curves
     drawn = " ".join(texts)
-    for words in ("4 dry runs (SIMULATED)", "how long a run takes", "beads", "what time depends on", "Spearman"):
+    for words in ("dry runs (SIMULATED): 4", "how long a run takes", "beads", "what time depends on", "Spearman"):
         assert words in drawn
     assert "By 4 dry runs" in shown
     assert "of 3 samples are to be expected" in shown

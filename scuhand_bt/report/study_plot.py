@@ -45,22 +45,22 @@ def plot_study(
     figure = Figure(figsize=(12.0, sum(heights_in)), layout="constrained")
     FigureCanvasAgg(figure)
     # Each row is laid out by itself: long names in one leave the others their width.
-    rows = [
-        row.subplots(1, 2).tolist()
-        for row in figure.subfigures(len(lines), 1, squeeze=False, height_ratios=heights_in).flat
-    ]
+    rows = figure.subfigures(len(lines), 1, squeeze=False, height_ratios=heights_in).flat
     (time, chances), (powder, failures), *others = (row.subplots(1, 2).tolist() for row in rows)
     _draw_time(time, odds, trials)
     _draw_chances(chances, odds)
     _draw_powder(powder, trials)
     _bars(failures, odds.codes, "what failed" if odds.codes else "nothing failed", "samples a run", RED)
     failures.set_xlim(left=0.0)
-    for axes, (what, places) in zip(others[0] if any(ranked.values()) else (), ranked.items(), strict=False):
-        _draw_ranks(axes, f"what {WORDS[what]} depends on", places)
-    for axes, (what, by_name) in zip(others[-1] if any(named.values()) else (), named.items(), strict=False):
-        scale, unit = (100.0, "in tolerance on average [%]") if what == "good" else (1 / 60.0, "a run on average [min]")
-        _bars(axes, {name: scale * mean for name, mean in by_name.items()}, f"{WORDS[what]} by name", unit, BLUE)
-    figure.suptitle(f"{title}: {len(trials)} dry runs (SIMULATED)", parse_math=False)
+    if any(ranked.values()):
+        for axes, (what, places) in zip(others[0], ranked.items(), strict=True):
+            _draw_ranks(axes, f"what {WORDS[what]} depends on", places)
+    if any(named.values()):
+        for axes, (what, means) in zip(others[-1], named.items(), strict=True):
+            scale, unit = (100.0, "in tolerance [%]") if what == "good" else (1.0 / 60.0, "a run [min]")
+            by_name = {name: scale * mean for name, mean in means.items()}
+            _bars(axes, by_name, f"{WORDS[what]} by name, on average", unit, BLUE)
+    figure.suptitle(f"{title}, dry runs (SIMULATED): {len(trials)}", parse_math=False)
     figure.savefig(path, dpi=130)
 
 
