@@ -37,7 +37,7 @@ class PlanStore:
     """The kept plans of one geometry. A folder that cannot be read or written keeps nothing, and says nothing."""
 
     def __init__(self, folder: Path, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar]) -> None:
-        moving = cell.model_dump(include=set(_MOVING), exclude={"arm": _WIRING, "hand": _WIRING})
+        moving = cell.model_dump(include=set(_MOVING), exclude={"arm": _WIRING, "hand": _WIRING}, warnings=False)
         depends = (_source(), urdf, repr(moving), sorted((name, repr(mortar)) for name, mortar in mortars.items()))
         self._path = folder / f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.npz"
         self._plans: dict[str, tuple[Floats, Floats]] = {}
