@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import pytest
@@ -137,6 +138,8 @@ DRIVERS: list[tuple[str, str, dict[str, str]]] = [
 def found_at_once(drivers: Iterable[tuple[str, str, dict[str, str]]]) -> dict[str, BaseException | None]:
     """What each of them fails by, if it does: at a wire there is much more to wait for than to compute."""
     with ThreadPoolExecutor(4) as pool:
+        all_there = Barrier(4)  # of its own threads none is taken for a driver's
+        list(pool.map(lambda _: all_there.wait(), range(4)))
         asked = {
             f"{kind} {name}": pool.submit(conformance.conforms, kind, name, **more) for kind, name, more in drivers
         }

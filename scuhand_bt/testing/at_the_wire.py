@@ -46,7 +46,7 @@ def at_the_wire(
     """A driver's device and its twin; at the end nothing of the device is left behind."""
     options, scene, clock = options_of(kind, driver, given), StillScene(), WallClock()
     with TwinServer(twin_of(kind, driver)(options, scene), PtyPort()) as server:
-        before = threading.active_count()
+        before = set(threading.enumerate())
         port = server.url
         spec = (
             ChangerSpec(driver=driver, port=port)
@@ -58,7 +58,9 @@ def at_the_wire(
             yield AtTheWire(device, server, scene, clock)
         finally:
             device.close()
-        until(lambda: threading.active_count() <= before, "its threads end with it")
+        # Not how many there are: others may be tried at the same time.
+        since = set(threading.enumerate()) - before
+        until(lambda: not any(thread.is_alive() for thread in since), "its threads end with it")
 
 
 def it_comes_and_goes(wire: AtTheWire, kind: str) -> None:
