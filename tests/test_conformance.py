@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from threading import Barrier
+from threading import Barrier, Event, Thread
 from typing import Any
 
 import pytest
@@ -149,6 +149,14 @@ def found_at_once(drivers: Iterable[tuple[str, str, dict[str, str]]]) -> dict[st
 @pytest.mark.real_time
 def test_every_driver_of_ours_and_every_template_conforms() -> None:
     assert {name: wrong for name, wrong in found_at_once(DRIVERS).items() if wrong is not None} == {}
+
+
+def test_a_thread_that_a_device_leaves_behind_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(at_the_wire, "PATIENCE_S", 1.0)
+    is_over = Event()
+    with pytest.raises(AssertionError, match="its threads end with it"), at_the_wire.at_the_wire("sensor", "vaisala", {}):
+        Thread(target=is_over.wait, daemon=True).start()
+    is_over.set()
 
 
 @pytest.mark.real_time
