@@ -154,7 +154,8 @@ def test_every_driver_of_ours_and_every_template_conforms() -> None:
 def test_a_thread_that_a_device_leaves_behind_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(at_the_wire, "PATIENCE_S", 1.0)
     is_over = Event()
-    with pytest.raises(AssertionError, match="its threads end with it"), at_the_wire.at_the_wire("sensor", "vaisala", {}):
+    leaves_one = pytest.raises(AssertionError, match="its threads end with it")
+    with leaves_one, at_the_wire.at_the_wire("sensor", "vaisala", {}):
         Thread(target=is_over.wait, daemon=True).start()
     is_over.set()
 
