@@ -243,6 +243,7 @@ def test_a_joint_that_does_not_do_what_is_described_ends_the_jog(factory: Factor
 
 
 @pytest.mark.real_time
+@pytest.mark.slow
 def test_the_arm_is_jogged_where_the_person_wants_it(factory: Factory) -> None:
     factory.do("servos", "zero")
     factory.hands.jogs = iter(["1+", "1+", "7-"])

@@ -85,6 +85,7 @@ def test_the_table_of_rooms_is_that_of_the_contract() -> None:
     assert len({at for at, _ in said}) == len(layers)
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_rooms_is_of_today(tmp_path: Path) -> None:
     drawn = tmp_path / "rooms.svg"
     subprocess.run([sys.executable, REPOSITORY / "docs" / "draw_rooms.py", "-o", drawn], check=True)

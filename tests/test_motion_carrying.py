@@ -26,6 +26,7 @@ def planner():
     return LAYOUT.planner()
 
 
+@pytest.mark.slow
 def test_a_load_that_may_lean_more_is_never_carried_more_slowly(planner):
     # The loosest first: what is known for stricter limits must not be needed.
     for first, second in (("mortar_bay", "mortar_bay_2"), ("mortar_bay_2", "balance")):

@@ -151,6 +151,7 @@ def test_one_scoop_that_brought_nothing_is_made_again(tmp_path: Path) -> None:
     assert ran.session.cell.believed.yields == {}, "nothing is no share of anything"
 
 
+@pytest.mark.slow
 def test_a_load_that_bridges_is_let_out_into_its_mortar_and_scooped_again(tmp_path: Path) -> None:
     recipe = RECIPE.replace("POLICY", "stop")
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:Bridges", controller="adaptive")

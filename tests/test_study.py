@@ -344,6 +344,7 @@ def test_a_ctrl_c_says_that_what_was_tried_is_kept_and_how_it_goes_on(
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", said)
 
 
+@pytest.mark.slow
 def test_a_ctrl_c_while_the_processes_of_a_study_begin_is_answered_by_none_of_them(tmp_path: Path) -> None:
     program = tmp_path / "study.py"
     program.write_text(
@@ -399,6 +400,7 @@ def test_ranks_tell_what_goes_with_a_figure() -> None:
     assert goes_with([*masses, replace(masses[0], changes=(("m", "3 s"),))], [1.0, 2.0, 3.0, 4.0]) == {}
 
 
+@pytest.mark.slow
 def test_of_a_place_with_names_the_mean_with_each_is_told(setup: Setup, command: Call, tmp_path: Path) -> None:
     draws = [
         Setup(Path("r"), Path("l"), changes=((FLOW, str(flow)), ("recipe.controller", name)))

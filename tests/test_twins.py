@@ -242,7 +242,7 @@ def batch_of(folder: Path, lab: Lab, recipe: str) -> Batch:
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("twins_too", [False, True])
+@pytest.mark.parametrize("twins_too", first_daily(False, True))
 def test_a_rehearsal_that_was_killed_goes_on_with_its_twins_or_with_their_world(
     tmp_path: Path, lab: Lab, twins_too: bool
 ) -> None:

@@ -70,6 +70,7 @@ def test_a_run_goes_on_to_its_end_whatever_becomes_of_its_output(recipe: Path, w
     assert ended(recipe) == ("complete", 0)
 
 
+@pytest.mark.slow
 def test_a_run_whose_journal_was_removed_tells_how_to_go_on_with_what_was_rescued(recipe: Path) -> None:
     with subprocess.Popen(
         [*COMMAND, str(recipe), "--dry-run", "--speed", "4"], stdout=subprocess.PIPE, text=True, cwd=REPOSITORY

@@ -153,6 +153,7 @@ def test_what_the_cell_says_of_its_arm_and_the_urdf_does_not_have_is_located_in_
     assert problem.mark.line == line_with(lab, said)
 
 
+@pytest.mark.slow
 def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and_stand_at_every_other_place(
     lab: LabFolder,
 ) -> None:

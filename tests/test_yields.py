@@ -111,6 +111,7 @@ class Once(Other):
         return self.Yield(powder)
 
 
+@pytest.mark.slow
 def test_what_one_poor_scoop_missed_does_not_come_with_a_full_load_besides(tmp_path: Path) -> None:
     recipe = RECIPE.replace("MASS", "2900 mg") + "on_failure: {otherwise: flag}\n"
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:Once", controller="adaptive")
