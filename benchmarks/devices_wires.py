@@ -279,7 +279,10 @@ class Swaying:
         self._start, self._sway_rad = start, sway_rad
 
     def sample(self, time_s: float) -> np.ndarray[Any, Any]:
-        return self._start + self._sway_rad * np.sin(time_s) ** 2
+        return self._start + self._sway_rad * np.sin(min(time_s, self.duration_s)) ** 2
+
+    def stopped_from(self, at_s: float) -> "Swaying":
+        return Swaying(self._start, self._sway_rad, at_s)
 
 
 def _holds(twin: DynamixelTwin) -> bool:

@@ -88,6 +88,7 @@ def _kind(name: str, lab: Lab, offers: Sequence[Offer], seeds: int) -> Kind:
 def fleets(kinds: Sequence[Kind], *, days: int, seeds: int) -> list[dict[str, Any]]:
     """Every size of fleet with each staff, the mean over the seeds."""
     slots, rows = load_lab(starter_lab()).cell.changer.slots, []
+    assert isinstance(slots, int), "the starter lab's slots take containers of any kind"
     for staff, assumed in STAFFS.items():
         for cells in CELLS:
             found = [simulate(kinds, cells, assumed, days=days, seed=seed, slots=slots) for seed in range(seeds)]

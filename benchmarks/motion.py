@@ -152,8 +152,8 @@ class Bench:
 
     def polyline(self, outcome: Outcome) -> Floats | None:
         """What a usual planner finds for the task: RRT-Connect to the same goal and others, then shortcuts."""
-        task, rng = outcome.task, np.random.default_rng(SEED)
-        space = Space(JointCoordinates(self.rates, task.start), self.scene)
+        task, rng = outcome.task, np.random.default_rng([SEED, 1])
+        space = Space(JointCoordinates(self.rates, MOUNT.limits_rad), self.scene, MOUNT)
         goals = self.free(task.goal)
         goals[:, 6] = task.start[6]
         goals = goals[np.argsort(rest_to_rest_s(goals - task.start, self.rates))][:32]

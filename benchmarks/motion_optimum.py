@@ -24,7 +24,8 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from benchmarks.figures import spread
-from benchmarks.motion import MOUNT, Bench, Task
+from benchmarks.motion import Bench, Task
+from benchmarks.motion_inverse import MOUNT
 from scuhand_bt.motion import transfer
 from scuhand_bt.motion.clearances import Clearances
 from scuhand_bt.motion.collision import Scene

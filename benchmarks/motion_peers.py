@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.kinematics import Floats, Mount
 from scuhand_bt.motion.timelaw import RateLimits
 
 _CORNER_RAD = 0.1
@@ -35,7 +35,7 @@ def toppra_s(polyline: Floats, rates: RateLimits) -> float:
     return float(law.compute_trajectory(0, 0).duration)
 
 
-def pink_ik(urdf: str, poses: list[Any], offset_m: float) -> dict[str, Any]:
+def pink_ik(urdf: str, poses: list[Any], mount: Mount) -> dict[str, Any]:
     """pink's differential inverse kinematics on level apex poses, yaw free, from up to 30 starts."""
     import time
 
@@ -43,9 +43,12 @@ def pink_ik(urdf: str, poses: list[Any], offset_m: float) -> dict[str, Any]:
     import pinocchio as pin
 
     model = pin.buildModelFromXML(urdf)
-    apex = pin.Frame(
-        "apex", 7, model.getFrameId("flange"), pin.SE3(np.eye(3), np.array([0, 0, offset_m])), pin.OP_FRAME
-    )
+    down = -mount.axis
+    across = np.cross(down, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    turned = np.stack([across, np.cross(down, across), down], axis=1)
+    placed = pin.SE3(turned, np.array([*mount.aside_m, mount.offset_m]))
+    apex = pin.Frame("apex", 7, model.getFrameId("flange"), placed, pin.OP_FRAME)
     model.addFrame(apex)
     data = model.createData()
     rng = np.random.default_rng(1)

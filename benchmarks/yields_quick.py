@@ -11,6 +11,7 @@ time, the spread of doses, and what clings. Every case is run with two fills and
 import argparse
 import itertools
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -48,7 +49,8 @@ class Lot:
         self.scoops: list[tuple[int, float, float]] = []
         """Doses before it, believed and true content [mg] after it."""
         self._rng, self._share, self._source = np.random.default_rng(seed), share, source
-        self._skills, self._hand = lab.library.skills, lab.cell.hand
+        self._skills: Mapping[str, Any] = lab.library.skills
+        self._hand = lab.cell.hand
         self._tries = int(lab.library.workflows["fill"].tree.arguments["attempts"].text)
         self._field, self._yield = HeightField(source.mortar, source.powder), OurScoopYield(source.powder)
         self._mortar_mg, self._cone_mg, self._strokes, self._doses = source.amount_mg, 0.0, 0, 0
@@ -130,8 +132,12 @@ def main() -> None:
         for (fill_mg, dose_mg), seed in itertools.product(
             FILLS_MG[mortar], range(given.first, given.first + given.seeds)
         ):
-            kinds = {"mortar": lab.library.mortars[mortar], "powder": lab.library.powders[powder]}
-            source = Source.model_construct(name="lot", station="bay", lot=None, amount_mg=fill_mg, **kinds)
+            kinds: dict[str, Any] = {
+                "lot": None,
+                "mortar": lab.library.mortars[mortar],
+                "powder": lab.library.powders[powder],
+            }
+            source = Source.model_construct(name="lot", station="bay", amount_mg=fill_mg, **kinds)
             lot = Lot(lab, source, share, seed)
             for _ in range(DOSES):
                 lot.dose(dose_mg)
