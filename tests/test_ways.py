@@ -1,14 +1,18 @@
 """What `check`, and `plan`, find before a run would: ways that no pair of places tells of."""
 
 import json
+import math
 import re
+import sys
+from itertools import islice
 
 import pytest
 from conftest import Call, LabFolder
 
 from harness.own_workflow import RECIPE, TREE, write_own
-from scuhand_bt.lab import read_lab
+from scuhand_bt.lab import read_lab, starter_lab
 from scuhand_bt.problems import Problem
+from scuhand_bt.report import directions
 from scuhand_bt.run.checking import check
 
 ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
@@ -50,6 +54,18 @@ def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks
     (message,) = blocked(lab)
     assert message.startswith("the last 30 mm straight down to 'balance+")
     assert "roof" in message
+
+
+def test_reach_tells_of_the_strokes_that_the_skill_makes_in_its_directions() -> None:
+    """Of a tilt of 110 degrees at most: one of 75, which the skill makes nowhere, went in all of the first four."""
+    lab = read_lab(starter_lab())
+    skill = lab.library.skills["scoop"]
+    (x_mm, y_mm, _), turns_deg = lab.cell.stations["mortar_bay"].position_mm, vars(sys.modules[skill.__module__])
+    looked_at = list(islice(directions(lab, lab.library.powders["glass_beads"]), 5))
+    of_skill = sorted((math.degrees(math.atan2(y_mm, x_mm)) + deg) % 360.0 for deg in turns_deg["HEADINGS_DEG"])
+    assert [one.heading_deg for one in looked_at] == pytest.approx(of_skill[:5])
+    assert [one.first_s is not None for one in looked_at] == [False, False, False, False, True]
+    assert [bool(one.why_not) for one in looked_at] == [True, True, True, True, False]
 
 
 def test_a_mortar_over_which_the_arm_can_stand_but_in_which_it_can_make_no_stroke_is_found(lab: LabFolder) -> None:
