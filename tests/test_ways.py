@@ -152,6 +152,30 @@ def test_a_bowl_that_gives_little_at_a_time_is_refused_where_that_is_less_than_w
 
 
 @pytest.mark.parametrize(
+    ("cup", "mass", "poor"),
+    [
+        ("bore: 60 mm, depth: 20 mm", "500 mg", True),
+        ("bore: 60 mm, depth: 20 mm", "100 mg", False),
+        ("bore: 62 mm, depth: 21 mm", "500 mg", False),
+    ],
+)
+def test_a_bowl_of_which_doses_take_ever_more_scoops_is_warned_of(
+    lab: LabFolder, cup: str, mass: str, poor: bool
+) -> None:
+    kinds = (lab.folder / "robot" / "containers.yaml").read_text()
+    lab.write("robot/containers.yaml", kinds + f"  cup: {{{cup}, height: 34 mm, outer_diameter: 80 mm}}\n")
+    said = re.sub(
+        r"container: \w*agate_mortar, powder: glass_beads", "container: cup, powder: monosodium_glutamate", RECIPE
+    )
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(said.replace("xrd_holder, mass: 50 mg", f"alumina_crucible, mass: {mass}"))
+    problems = check(read_lab(lab.folder), recipe, fast=True).problems
+    (told,) = [one for one in problems if one.code == "poor-strokes"] or [None]
+    assert (told is not None) == poor
+    assert told is None or (told.is_warning and told.mark.file == str(recipe))
+
+
+@pytest.mark.parametrize(
     ("said", "told"),
     [
         ("may_touch: [[fore, wastebin]]", "which is not there; known: .* did you mean 'waste_bin'"),

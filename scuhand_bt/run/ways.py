@@ -28,15 +28,12 @@ from scuhand_bt.run.stroke_ways import (
     LEAST_BED_MG,
     MortarCannotBeScooped,
     headings_deg,
+    require_first,
     stroke_in,
-    stroke_worth,
     swing_and_out,
 )
 from scuhand_bt.specs import ContainerKind, Mortar, Source
 
-FIRST_SHARE = 0.08
-"""Of bed and load a first stroke brings so much at least, or all that is needed. In dry runs of 8 doses of 500 mg of
-MSG, from bowls of 55 to 58 mm, where it is 0.01 to 0.07, one at most came; from one of 60 mm (0.12) five."""
 LOWERING_M_PER_S = 0.06
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 """Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
@@ -62,9 +59,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
     """
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
     for demand in scooped:
-        source = demand.source
-        worth_mg = FIRST_SHARE * min(source.amount_mg, source.powder.load_limit_mg)
-        stroke_worth(cell, source, source.amount_mg, min(worth_mg, demand.needed_mg))
+        require_first(cell, demand)
     try:
         _ways(motion, plan, cell, kinds, scooped)
     except MortarCannotBeScooped:
