@@ -51,9 +51,9 @@ def _at(lab: Lab, station: str, mortar: Mortar, powder: Powder) -> Iterator[Dire
     for heading_deg in sorted(headings_deg(lab.cell, station)):
         first = _looked_at(planner, lab, source, FILL_SHARE * source.capacity_mg, heading_deg)
         last = _looked_at(planner, lab, source, LEAST_BED_MG, heading_deg)
-        times_s = (one if isinstance(one, float) else None for one in (first, last))
+        first_s, last_s = (one if isinstance(one, float) else None for one in (first, last))
         why_not = next((one for one in (first, last) if isinstance(one, str)), "")
-        yield Direction(station, mortar.name, heading_deg, *times_s, why_not)
+        yield Direction(station, mortar.name, heading_deg, first_s, last_s, why_not)
 
 
 def _looked_at(planner: "MotionPlanner", lab: Lab, source: Source, bed_mg: float, heading_deg: float) -> float | str:

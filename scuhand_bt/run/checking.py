@@ -25,7 +25,7 @@ from scuhand_bt.recipe.recipe import Recipe, RecipeGiven, read_recipe
 from scuhand_bt.recipe.sample import Sample, needed_mg
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.inventory_conflicts import conflicts
-from scuhand_bt.run.stroke_ways import poor_first_mg
+from scuhand_bt.run.stroke_ways import MortarCannotBeScooped, poor_first_mg
 from scuhand_bt.silencers import without_silenced
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.check import check_workflows
@@ -230,7 +230,7 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
         _warn_of_strain(strained, lab, problems)
         return
     from scuhand_bt.run.prepared_motion import prepared_motion
-    from scuhand_bt.run.ways import MortarCannotBeScooped, MortarStandsBadly
+    from scuhand_bt.run.ways import MortarStandsBadly
 
     try:
         strained = _strained(prepared_motion(plan, lab, for_real=True))
