@@ -100,6 +100,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A source holds what its samples need, but not what their scoops bring more, which is discarded.",
             "More powder, `refill`, or `leftover: keep` or `return`; `plan` shows by dry runs what is discarded.",
         ),
+        "poor-strokes": _warning(
+            "A bowl is so small, or so shallow, for the sheet and the powder that doses take several scoops each.",
+            "A deeper mortar, or a larger one.",
+        ),
         "source-lent": _warning(
             "A source holds what its samples need, but not what others of its lot may take, as it is kept in the cone.",
             "More powder, `refill`, the samples of each source one after the other, or `leftover: return`.",

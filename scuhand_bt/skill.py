@@ -61,7 +61,7 @@ from scuhand_bt.quantity import (
     Seconds,
     plain_name,
 )
-from scuhand_bt.specs import Container, Powder, Source
+from scuhand_bt.specs import Container, Keeping, Powder, Source
 
 __all__ = [
     "BalanceDoubted",
@@ -82,6 +82,7 @@ __all__ = [
     "DoseWeighed",
     "Failure",
     "Forecast",
+    "Keeping",
     "Kept",
     "Milligrams",
     "Millimetres",
@@ -145,6 +146,8 @@ class Skill(BaseModel, Generic[R]):
     """Failure codes of its own, beyond the shared catalogue."""
     raises: ClassVar[tuple[str, ...]] = ()
     """The codes that its own code fails with, beside those of the devices and the engine; `explain` tells them."""
+    empties_cone: ClassVar[bool] = False
+    """Whether nothing is left in the cone when it has succeeded, unless its input `keep` (`Keeping`) lets that stay."""
     typical_s: ClassVar[float] = 5.0
     interrupted: ClassVar[Literal["repeat", "reweigh", "ask"]] = "ask"
     """How an action that had begun when the run was interrupted (a crash, a stop) is settled when it is resumed.

@@ -265,6 +265,9 @@ class Mortar(Spec):
 Leftover = Literal["keep", "return", "discard"]
 """What becomes of powder that is left in the cone (`recipe/leftover.py`)."""
 
+Keeping = Literal["never", "if_told", "unless_told"]
+"""Whether a workflow lets it stay there for the next sample: as the recipe's `leftover` says, or if that is silent."""
+
 
 class Assay(Spec):
     """How much of a lot is what its powder's formula says, as its certificate has it; for composed samples.
@@ -303,6 +306,10 @@ class Source(Assay):
     def capacity_mg(self) -> float:
         """What its mortar holds of its powder."""
         return self.mortar.capacity_mm3 * self.powder.bulk_density_mg_per_mm3
+
+    def is_kept(self, keeping: Keeping) -> bool:
+        """Whether what is left of it in the cone stays there, by its policy and what a workflow lets."""
+        return keeping != "never" and (self.leftover or ("keep" if keeping == "unless_told" else "return")) == "keep"
 
     def refill_into_mg(self, left_mg: float) -> float:
         """How much is put into the mortar while it still holds so much: what there is room for, at the most."""

@@ -9,6 +9,7 @@ class Discard(Skill[None]):
     """Empty the cone into the waste bin; does nothing if it is empty."""
 
     devices = ("arm", "hand")
+    empties_cone = True
     typical_s = 15.0
     interrupted = "repeat"
 

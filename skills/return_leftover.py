@@ -1,8 +1,6 @@
 """What is left in the cone goes where the recipe wants it: kept for the next sample, back, or away."""
 
-from typing import Literal
-
-from scuhand_bt.skill import Cell, Code, Kept, Skill, SkillFailed, Source, Steps
+from scuhand_bt.skill import Cell, Code, Keeping, Kept, Skill, SkillFailed, Source, Steps
 
 from ._emptying import pour_rest, put_away
 
@@ -12,11 +10,12 @@ class ReturnLeftover(Skill[None]):
 
     raises = (Code.HAND_WRONG_POWDER,)
     devices = ("arm", "hand")
+    empties_cone = True
     typical_s = 5.0
     interrupted = "repeat"
 
     source: Source
-    keep: Literal["never", "if_told", "unless_told"] = "never"
+    keep: Keeping = "never"
     """Whether it may stay in the cone for the next sample: only as the recipe's `leftover` says, or if it is silent."""
 
     def run(self, cell: Cell) -> Steps[None]:
@@ -28,8 +27,7 @@ class ReturnLeftover(Skill[None]):
         source = cell.sources[believed.cone_source]
         if source.sheet_key != self.source.sheet_key:
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.sheet_key}, not {self.source.sheet_key}")
-        told = source.leftover or ("keep" if self.keep == "unless_told" else "return")
-        if told == "keep" and self.keep != "never":
+        if source.is_kept(self.keep):
             cell.record.event(Kept(source=source.name, expected_mg=believed.cone_mg))
         else:
             yield from put_away(cell)

@@ -22,7 +22,6 @@ from scuhand_bt.dosing.strokes import (
     expected_mg,
     layer_left,
     most_mg,
-    require_level,
 )
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.swing_plane import least_attack_deg
@@ -243,8 +242,6 @@ def test_a_bowl_in_which_the_sheet_is_never_level_is_refused(bore_mm: float, dep
     bowl = Mortar(name="bowl", bore_mm=bore_mm, depth_mm=depth_mm, height_mm=45.0, outer_diameter_mm=bore_mm + 10.0)
     with pytest.raises(NoStrokeError, match="before the sheet is level; take a deeper mortar"):
         chosen(Bed(bowl, 2000.0, BEADS), SHEET_MM, 4750.0)
-    with pytest.raises(NoStrokeError, match="before the sheet is level"):
-        require_level(bowl, SHEET_MM)
 
 
 @pytest.mark.parametrize("fill", [0.1, 0.5, 1.0])

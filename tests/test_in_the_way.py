@@ -186,3 +186,24 @@ def test_what_a_watcher_was_told_to_see_it_sees_beside_twins_too(tmp_path: Path)
         devices.close()
     assert seen is not None
     assert np.abs(seen.mean(axis=0) - (0.19, 0.24, 0.18)).max() < 0.001
+
+
+def test_an_arm_that_was_pushed_into_something_goes_out_whatever_is_seen_elsewhere(tmp_path: Path) -> None:
+    bench = Bench(lab_that_sees(tmp_path, OVER_THE_MORTAR + "}"))
+    pushed = over_the_pan(bench)
+    pushed[0] += 0.19
+    cast(Any, bench.cell.arm).hold(pushed)
+    bench.do(bench.cell.move_to("park"))
+    assert len(bench.told(ArmFreed)) == 1
+    assert bench.clock.now_s < 30.0
+
+
+def test_an_arm_does_not_make_its_way_out_of_what_is_seen(tmp_path: Path) -> None:
+    bench = Bench(lab_that_sees(tmp_path, "{at: [10 mm, 10 mm, 200 mm], box: [10 mm, 10 mm, 10 mm], for: 40 s}"))
+    bench.motion.set_occupied(bench.cell.in_the_way.points_m)
+    start = bench.cell.arm.positions
+    depth_m = bench.motion.scene(0.001).clearance_m(start)[0]
+    assert -0.03 < depth_m < 0.0
+    bench.do(bench.cell.move_to("park"))
+    assert not bench.told(ArmFreed)
+    assert not any(moves for now_s, moves, _ in bench.went if now_s < 39.9)

@@ -150,6 +150,10 @@ samples: [{id: a}, {id: b, source: other}, {id: c, repeat: 3}]
         ("amount: 2.2 g", "amount: 2.2 g, refill: 2 g", None),
         ("leftover: keep", "leftover: return", None),
         ("leftover: keep\n", "", "520.0 mg"),
+        ("workflow: fill_pellet_die", "workflow: scoop_and_dispense", "520.0 mg"),
+        ("workflow: fill_pellet_die\nleftover: keep\n", "workflow: scoop_and_dispense\n", None),
+        ("workflow: fill_pellet_die", "workflow: fill_vial", None),  # returns it, whatever is wished; `fill` never does
+        ("workflow: fill_pellet_die\nleftover: keep", "workflow: fill\nleftover: return", "520.0 mg"),
         ("glass_beads, lot: A, amount: 3", "glass_beads, lot: B, amount: 3", None),
         ("{id: a}, {id: b, source: other}", "{id: b, source: other}, {id: a}", None),
         ("{id: b, source: other}, {id: c, repeat: 3}", "{id: c, repeat: 3}, {id: b, source: other}", None),

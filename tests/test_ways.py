@@ -1,14 +1,18 @@
 """What `check`, and `plan`, find before a run would: ways that no pair of places tells of."""
 
 import json
+import math
 import re
+import sys
+from itertools import islice
 
 import pytest
 from conftest import Call, LabFolder
 
 from harness.own_workflow import RECIPE, TREE, write_own
-from scuhand_bt.lab import read_lab
+from scuhand_bt.lab import read_lab, starter_lab
 from scuhand_bt.problems import Problem
+from scuhand_bt.report import directions
 from scuhand_bt.run.checking import check
 
 ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
@@ -50,6 +54,18 @@ def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks
     (message,) = blocked(lab)
     assert message.startswith("the last 30 mm straight down to 'balance+")
     assert "roof" in message
+
+
+def test_reach_tells_of_the_strokes_that_the_skill_makes_in_its_directions() -> None:
+    """Of a tilt of 110 degrees at most: one of 75, which the skill makes nowhere, went in all of the first four."""
+    lab = read_lab(starter_lab())
+    skill = lab.library.skills["scoop"]
+    (x_mm, y_mm, _), turns_deg = lab.cell.stations["mortar_bay"].position_mm, vars(sys.modules[skill.__module__])
+    looked_at = list(islice(directions(lab, lab.library.powders["glass_beads"]), 5))
+    of_skill = sorted((math.degrees(math.atan2(y_mm, x_mm)) + deg) % 360.0 for deg in turns_deg["HEADINGS_DEG"])
+    assert [one.heading_deg for one in looked_at] == pytest.approx(of_skill[:5])
+    assert [one.first_s is not None for one in looked_at] == [False, False, False, False, True]
+    assert [bool(one.why_not) for one in looked_at] == [True, True, True, True, False]
 
 
 def test_a_mortar_over_which_the_arm_can_stand_but_in_which_it_can_make_no_stroke_is_found(lab: LabFolder) -> None:
@@ -133,6 +149,30 @@ def test_a_bowl_that_gives_little_at_a_time_is_refused_where_that_is_less_than_w
     recipe.write_text(said.replace("xrd_holder, mass: 50 mg", f"alumina_crucible, mass: {mass}"))
     told = [message for message in blocked(lab) if re.search("a stroke in this bowl brings", message)]
     assert len(told) == cannot
+
+
+@pytest.mark.parametrize(
+    ("cup", "mass", "poor"),
+    [
+        ("bore: 60 mm, depth: 20 mm", "500 mg", True),
+        ("bore: 60 mm, depth: 20 mm", "100 mg", False),
+        ("bore: 62 mm, depth: 21 mm", "500 mg", False),
+    ],
+)
+def test_a_bowl_of_which_doses_take_ever_more_scoops_is_warned_of(
+    lab: LabFolder, cup: str, mass: str, poor: bool
+) -> None:
+    kinds = (lab.folder / "robot" / "containers.yaml").read_text()
+    lab.write("robot/containers.yaml", kinds + f"  cup: {{{cup}, height: 34 mm, outer_diameter: 80 mm}}\n")
+    said = re.sub(
+        r"container: \w*agate_mortar, powder: glass_beads", "container: cup, powder: monosodium_glutamate", RECIPE
+    )
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(said.replace("xrd_holder, mass: 50 mg", f"alumina_crucible, mass: {mass}"))
+    problems = check(read_lab(lab.folder), recipe, fast=True).problems
+    (told,) = [one for one in problems if one.code == "poor-strokes"] or [None]
+    assert (told is not None) == poor
+    assert told is None or (told.is_warning and told.mark.file == str(recipe))
 
 
 @pytest.mark.parametrize(

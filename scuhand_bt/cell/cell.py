@@ -300,14 +300,20 @@ class Cell:
                     may_free = failure.code == Code.ARM_START_IN_COLLISION and not is_freed
                     if only_zones and not (may_free and self.arm.was_limp):
                         raise
-                    if not only_zones and self.spec.watchers and self.in_the_way.points_m is not None:
-                        is_obstructed = True
-                        yield from self.in_the_way.gone(began_s, failure)
-                    elif may_free:
-                        is_freed = True
-                        yield from self._freed(touching)
-                    else:
-                        raise
+                    if may_free:  # what is seen may be elsewhere, and stay: it is not waited for before
+                        try:
+                            out, what = self._way_out(touching)
+                        except SkillFailed as stuck:
+                            failure = stuck
+                        else:
+                            is_freed = True
+                            self.record.event(ArmFreed(what=what, duration_s=round(out.duration_s, 3)))
+                            yield from self._follow(out)
+                            continue
+                    if only_zones or not self.spec.watchers or self.in_the_way.points_m is None:
+                        raise failure
+                    is_obstructed = True
+                    yield from self.in_the_way.gone(began_s, failure)
                     continue
             else:
                 if is_obstructed:
@@ -335,16 +341,14 @@ class Cell:
                 return failure
         return None
 
-    def _freed(self, touching: str | None) -> Steps[None]:
-        """Slowly out of what the arm touches, which is written down; SkillFailed arm.start_in_collision.
+    def _way_out(self, touching: str | None) -> "tuple[StoppableTrajectory, str]":
+        """Slowly out of what the arm touches, and what that is; SkillFailed arm.start_in_collision.
 
         The sheet may touch the mortar at `touching`. Into any other one only an arm that was limp has come unasked.
         """
-        out, what = self._planner().way_out(
+        return self._planner().way_out(
             self.arm.positions, self._spill_limit_deg(), touching, from_mortars=self.arm.was_limp
         )
-        self.record.event(ArmFreed(what=what, duration_s=round(out.duration_s, 3)))
-        yield from self._follow(out)
 
     def _righted(self) -> Steps[None]:
         """Turn a cone upright on the spot that leans more than its load is carried with: whatever slides has slid.

@@ -23,17 +23,23 @@ def reach(
     task: Annotated[
         Literal["dispense", "scoop"], typer.Option(help="The upright cone's map, or the swing at each mortar.")
     ] = "dispense",
+    powder: Annotated[
+        str | None, typer.Option(help="With --task scoop: of which powder; default: the lab's first.")
+    ] = None,
     lab: LabOption = None,
 ) -> None:
     """Draw where the upright cone can be put, over the cell and its stations (HTML; needs the extra `plot`).
 
-    With --task scoop: tell in which directions the arm can swing the cone through each mortar, and what is in the way.
+    With --task scoop: tell in which directions the arm can make the strokes of a run through each mortar, and what is
+    in the way.
     """
     if task == "scoop":
         if output is not None:
             raise typer.BadParameter("'--task scoop' writes a table, and no file: leave out '-o'")
-        _tell_directions(the_lab(lab))
+        _tell_directions(the_lab(lab), powder)
         return
+    if powder is not None:
+        raise typer.BadParameter("'--powder' is for '--task scoop': the upright cone's map is of none")
     path = of_kind(output or Path("reach.html"), *PAGES)
     loaded = the_lab(lab)
 
@@ -123,14 +129,19 @@ def plot(
     _write(path, lambda: plot_dose(points, dose.target_mg, dose.tolerance_mg, path, title))
 
 
-def _tell_directions(lab: "Lab") -> None:
+def _tell_directions(lab: "Lab", name: str | None) -> None:
     from scuhand_bt.report import directions
 
+    powders = lab.library.powders
+    if name is not None and name not in powders:
+        raise unknown("powder", name, powders)
+    powder = powders[name or next(iter(powders))]
     out.print("The handle's length and mount are read off a picture: measure yours, and set them in robot/cell.yaml.")
-    table = Table("station", "mortar", "direction", "tilt", "time", "what is in the way", box=None)
-    for one in directions(lab):
-        possible = (f"{one.tilt_deg:.0f}°", f"{one.duration_s:.1f} s") if one.tilt_deg is not None else ("–", "–")
-        table.add_row(one.station, one.mortar, f"{one.heading_deg:.0f}°", *possible, Text(one.why_not))
+    out.print(f"Strokes of {powder.name}: the first one in a mortar that is a fifth full, and the last one.")
+    table = Table("station", "mortar", "direction", "first", "last", "what is in the way", box=None)
+    for one in directions(lab, powder):
+        times = (f"{time_s:.1f} s" if time_s is not None else "–" for time_s in (one.first_s, one.last_s))
+        table.add_row(one.station, one.mortar, f"{one.heading_deg:.0f}°", *times, Text(one.why_not))
     out.print(table)
 
 

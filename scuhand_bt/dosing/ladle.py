@@ -1,7 +1,7 @@
 """What is asked of one stroke, and of what hand."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from scuhand_bt.device_specs.hand import HandSpec
 
@@ -33,10 +33,6 @@ class Stroke:
     max_tilt_deg: float = 110.0
     lip_speed_mm_per_s: float = 60.0
     end_mm: float = math.inf
-
-    def turned(self, heading_deg: float, max_tilt_deg: float) -> "Stroke":
-        """The same in another direction, with another limit of the tilt."""
-        return replace(self, heading_deg=heading_deg, max_tilt_deg=max_tilt_deg)
 
 
 @dataclass(frozen=True, slots=True)

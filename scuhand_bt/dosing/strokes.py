@@ -245,13 +245,6 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
     return stroke
 
 
-def require_level(mortar: Mortar, sheet_radius_mm: float) -> None:
-    """NoStrokeError for a bowl that the lip leaves before the sheet is level, however little it takes."""
-    edge = math.acos(1 - max(0.0, mortar.depth_mm - NEAR_EDGE_MM) / mortar.bowl_radius_mm)
-    if math.degrees(edge) < _attack_deg(across(mortar, 0.0, sheet_radius_mm), mortar, sheet_radius_mm):
-        raise _never_level(mortar, sheet_radius_mm)
-
-
 def _never_level(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
     attack_deg = _attack_deg(across(mortar, 0.0, sheet_radius_mm), mortar, sheet_radius_mm)
     edge_deg = math.degrees(math.asin(mortar.bore_mm / 2 / mortar.bowl_radius_mm))

@@ -14,6 +14,8 @@ from scuhand_bt.motion.kinematics import Floats
 
 VOXEL_M = 0.02
 MOST_VOXELS = 200_000
+SEEN = "what was seen"
+"""The name of it as a solid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,4 +45,4 @@ class Occupancy:
         """All of them, as one thing that the arm must not touch."""
         tree = coal.makeOctree(self.centres_m, self.voxel_m)
         tree.computeLocalAABB()
-        return Solid("what was seen", (0.0, 0.0, 0.0), mesh=tree)
+        return Solid(SEEN, (0.0, 0.0, 0.0), mesh=tree)

@@ -29,7 +29,7 @@ from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.contact import contact_motion, with_seams
 from scuhand_bt.motion.inverse import nearest_configuration, solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
-from scuhand_bt.motion.occupancy import VOXEL_M, Occupancy
+from scuhand_bt.motion.occupancy import SEEN, VOXEL_M, Occupancy
 from scuhand_bt.motion.pace import Pace
 from scuhand_bt.motion.patience import FOR_EVER_S, Patience
 from scuhand_bt.motion.places import Places
@@ -270,11 +270,11 @@ class MotionPlanner:
         """Slowly out of what the arm touches where it stands, and what that is; `move` goes on from its end.
 
         The sheet may touch the mortar at the station `touching`, and goes on with `contact`. SkillFailed
-        arm.start_in_collision where it touches nothing, a closed zone (which is waited for) or, but `from_mortars`, a
-        mortar (which is withdrawn from), stands too deep in something, or where the load would spill.
+        arm.start_in_collision where it touches nothing, a closed zone or what was seen (which are waited for) or, but
+        `from_mortars`, a mortar (which is withdrawn from), stands too deep in something, or where the load would spill.
         """
         begin, scene = checked_joints(start, self._limits_rad), self.scene(CLOSE_MARGIN_M, touching)
-        kept_in = self._geometry.closed if from_mortars else self._scenes.mortars | self._geometry.closed
+        kept_in = {SEEN, *self._geometry.closed, *(() if from_mortars else self._scenes.mortars)}
         held = scene.touched(begin) & kept_in
         failure = explain.start_in_collision(scene, begin)
         try:

@@ -12,13 +12,13 @@ powder names the source of that powder.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 from scuhand_bt.events.doses import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, SkillFailed
-from scuhand_bt.specs import Container, Powder, Source
+from scuhand_bt.specs import Container, Keeping, Powder, Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range, Reference
 from scuhand_bt.tree.grammar import PARAMETERS
@@ -28,6 +28,8 @@ from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}
 """What a skill must command to dose: the valve, and what weighs the powder."""
+KEEPING = "keep"
+"""What a skill that empties the cone calls the `Keeping` that it is given."""
 TARGET, TOLERANCE = "mass", "tolerance"
 """What a dosing skill calls what it is asked for; its target may have any name, if it is its only mass."""
 
@@ -70,18 +72,28 @@ class Flow:
 
     pours: tuple[Pour, ...] = ()
     last: frozenset[Pour] = frozenset()
+    leaves: frozenset[Keeping | None] = frozenset({None})
+    """How what is left in the cone may be dealt with in the end; None where nothing empties that."""
 
 
 @dataclass(frozen=True)
 class _Reached:
-    """What may hold at a place of the tree: the container and source named last, and the last doses of each."""
+    """What may hold at a place of the tree: the container and source named last, the last doses of each, and how what
+    is in the cone was dealt with since it was scooped.
+    """
 
     containers: frozenset[str | None]
     sources: frozenset[str | None]
     last: frozenset[Pour] = frozenset()
+    leaves: frozenset[Keeping | None] = frozenset({None})
 
     def __or__(self, other: "_Reached") -> "_Reached":
-        return _Reached(self.containers | other.containers, self.sources | other.sources, self.last | other.last)
+        return _Reached(
+            self.containers | other.containers,
+            self.sources | other.sources,
+            self.last | other.last,
+            self.leaves | other.leaves,
+        )
 
 
 Ranges = dict[tuple[str, ...], Range]
@@ -164,7 +176,7 @@ def flow_of(workflow: str, inputs: Mapping[str, Any], library: Library, problems
     names = _Names(Scope(dict(inputs)), {}, {key: key for key in inputs})
     reached = follower.of(library.workflows[workflow].tree, names, begin, None)
     follower.refuse_mere_scoops()
-    return Flow(tuple(follower.pours), reached.last)
+    return Flow(tuple(follower.pours), reached.last, reached.leaves)
 
 
 def known(
@@ -352,6 +364,9 @@ class _Follower:
         skill = self._library.skills[node.name]
         if Code.SOURCE_EMPTY in skill.raises:
             self._scoops.update({source: at for source in reached.sources if source})
+            reached = replace(reached, leaves=frozenset({None}))
+        if skill.empties_cone:
+            reached = replace(reached, leaves=self._kept_by(node, given))
         target = self._target_of(node.name)
         if not DOSING.issubset(skill.devices) or target is None:
             return reached
@@ -391,6 +406,15 @@ class _Follower:
         return replace(
             reached, last=pours | {pour for pour in reached.last if not (is_certain and pour.place in places)}
         )
+
+    def _kept_by(self, node: Call, given: Mapping[str, Any]) -> frozenset[Keeping | None]:
+        """What a skill that empties the cone may be told of keeping; any, where only the run can tell."""
+        field = self._library.skills[node.name].model_fields.get(KEEPING)
+        if field is None:
+            return frozenset({"never"})
+        if KEEPING in node.arguments and KEEPING not in given:
+            return frozenset(get_args(Keeping))
+        return frozenset({given.get(KEEPING, field.default)})
 
     def _range(self, node: Call, key: str, known_value: float | None, names: _Names) -> Range:
         """Between what a number that a call is given is."""

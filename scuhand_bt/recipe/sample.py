@@ -109,6 +109,10 @@ class Sample:
         in_order = [take.source for take in self.takes] + sources_of(self.inputs)
         return tuple({source.name: source for source in in_order}.values())
 
+    def may_keep(self, source: Source) -> bool:
+        """Whether what is left of a source in the cone may be there still when its workflow has ended."""
+        return any(keeping is None or source.is_kept(keeping) for keeping in self.flow.leaves)
+
     @property
     def last_source(self) -> Source | None:
         """Whose powder the sheet has touched when its workflow has ended."""
@@ -211,16 +215,16 @@ def lent_mg(samples: Sequence[Sample], source: Source) -> float:
 
     In their order in the recipe: what comes after the last sample of this source takes nothing that that lacks.
     """
-    if source.leftover not in ("keep", None):
-        return 0.0
     lent_mg = since_mg = 0.0
-    was_used = False
+    is_kept = False
     for sample in samples:
         if needed_mg(sample, source) > 0.0:
             lent_mg += min(since_mg, LOAD_AIM * source.powder.load_limit_mg)
-            since_mg, was_used = 0.0, True
-        elif was_used:
-            since_mg += sum(take.needed_mg for take in sample.takes if take.source.sheet_key == source.sheet_key)
+            since_mg, is_kept = 0.0, sample.may_keep(source)
+        elif is_kept:
+            of_lot = [take for take in sample.takes if take.source.sheet_key == source.sheet_key]
+            since_mg += sum(take.needed_mg for take in of_lot)
+            is_kept = not of_lot or sample.may_keep(source)
     return lent_mg
 
 

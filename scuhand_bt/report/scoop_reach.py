@@ -1,62 +1,67 @@
 """In which directions the arm can scoop at each mortar station, and why not in the others: `reach --task scoop`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from scuhand_bt.cell.scooping import planned_stroke
-from scuhand_bt.dosing.ladle import Ladle, NoStrokeError
-from scuhand_bt.dosing.strokes import across, require_level
-from scuhand_bt.dosing.swing import stroke_path
-from scuhand_bt.dosing.vessel import Vessel
+import numpy as np
+
+from scuhand_bt.cell.places import over_mortar
+from scuhand_bt.dosing.ladle import NoStrokeError
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
-from scuhand_bt.specs import Mortar
+from scuhand_bt.specs import Mortar, Powder, Source
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
 
-STEP_DEG = 30
-TILTS_DEG = (110.0, 75.0)
-"""A stroke that takes all of the bed, and one that begins further on."""
-BED_SHARE = 0.73
-"""Of the bore, the bed that is looked at: a fifth of the mortar's volume."""
+FILL_SHARE = 0.2
+"""Of what a mortar holds, the bed that its first stroke is looked at in."""
 
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """One direction of a swing at a station, about the vertical from x."""
+    """One direction of a swing at a station, about the vertical from x; None where no stroke is possible."""
 
     station: str
     mortar: str
     heading_deg: float
-    tilt_deg: float | None
-    """The most that the axis is tilted; None where no stroke is possible."""
-    duration_s: float
+    first_s: float | None
+    """How long the stroke takes that is made first."""
+    last_s: float | None
+    """And the one that takes the last of the powder."""
     why_not: str
 
 
-def directions(lab: Lab) -> Iterator[Direction]:
-    """All directions, `STEP_DEG` apart, at every mortar station, with every mortar of the lab."""
+def directions(lab: Lab, powder: Powder) -> Iterator[Direction]:
+    """All directions in which a run would look for a stroke, at every mortar station, with every mortar of the lab."""
     for station in (one for one in lab.cell.stations.values() if one.kind == "mortar"):
         for mortar in lab.library.mortars.values():
-            planner = lab.motion_planner({station.name: mortar})
-            for heading_deg in range(0, 360, STEP_DEG):
-                yield _looked_at(planner, lab, station.name, mortar, float(heading_deg))
+            yield from _at(lab, station.name, mortar, powder)
 
 
-def _looked_at(planner: "MotionPlanner", lab: Lab, station: str, mortar: Mortar, heading_deg: float) -> Direction:
-    hand = lab.cell.hand
-    widest = across(mortar, BED_SHARE * mortar.bore_mm / 2, hand.sheet_radius_mm)
-    why = ""
-    for tilt_deg in TILTS_DEG:
-        stroke = widest.turned(heading_deg, tilt_deg)
-        try:
-            require_level(mortar, hand.sheet_radius_mm)
-            path = stroke_path(Vessel.of(mortar), stroke, Ladle.of(hand))
-            motion = planned_stroke(planner, planner.home(), path, lab.cell, station, mortar)
-        except (NoStrokeError, SkillFailed) as error:
-            why = why or str(error)
-            continue
-        return Direction(station, mortar.name, heading_deg, path.most_tilt_deg, motion.duration_s, "")
-    return Direction(station, mortar.name, heading_deg, None, 0.0, why)
+def _at(lab: Lab, station: str, mortar: Mortar, powder: Powder) -> Iterator[Direction]:
+    from scuhand_bt.motion import ApexPose  # which not every command has to load
+    from scuhand_bt.run.stroke_ways import LEAST_BED_MG, headings_deg
+
+    source = Source(name=station, station=station, mortar=mortar, powder=powder, amount_mg=1.0)
+    planner = lab.motion_planner({station: mortar})
+    above_mm = over_mortar(lab.cell.stations[station], mortar)
+    planner.add_place(station, ApexPose(np.array(above_mm) / 1000))
+    for heading_deg in sorted(headings_deg(lab.cell, station)):
+        first = _looked_at(planner, lab, source, FILL_SHARE * source.capacity_mg, heading_deg)
+        last = _looked_at(planner, lab, source, LEAST_BED_MG, heading_deg)
+        first_s, last_s = (one if isinstance(one, float) else None for one in (first, last))
+        why_not = next((one for one in (first, last) if isinstance(one, str)), "")
+        yield Direction(station, mortar.name, heading_deg, first_s, last_s, why_not)
+
+
+def _looked_at(planner: "MotionPlanner", lab: Lab, source: Source, bed_mg: float, heading_deg: float) -> float | str:
+    """How long the stroke takes that is made in such a bed [s], or why it is not possible."""
+    from scuhand_bt.run.stroke_ways import stroke_in, swing_and_out
+
+    try:
+        stroke = replace(stroke_in(lab.cell, source, bed_mg), heading_deg=heading_deg)
+        return swing_and_out(planner, lab.cell, source, stroke)
+    except (NoStrokeError, SkillFailed) as error:
+        return str(error)

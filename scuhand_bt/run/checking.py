@@ -19,11 +19,13 @@ from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, state_folder, wi
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError
+from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
 from scuhand_bt.recipe.recipe import Recipe, RecipeGiven, read_recipe
-from scuhand_bt.recipe.sample import Sample
+from scuhand_bt.recipe.sample import Sample, needed_mg
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.inventory_conflicts import conflicts
+from scuhand_bt.run.stroke_ways import MortarCannotBeScooped, poor_first_mg
 from scuhand_bt.silencers import without_silenced
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.check import check_workflows
@@ -122,9 +124,25 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
         return None
     _check_odds(recipe, problems)
     _check_telling(recipe, lab, problems)
+    _check_first_strokes(plan, lab, problems)
     if not fast:
         _check_ways(plan, lab, problems)
     return plan
+
+
+def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
+    """Warn of bowls that give so little at a time that doses take several scoops; of less still, runs are refused."""
+    for demand in plan.demands:
+        source = demand.source
+        largest_mg = max(needed_mg(sample, source) for sample in plan.recipe.samples)
+        if (brings_mg := poor_first_mg(lab.cell, source, largest_mg)) is not None:
+            amount = format_mass(source.amount_mg)
+            what = (
+                f"of {amount} of {source.powder.name} the first stroke in this bowl brings {format_mass(brings_mg)}, "
+            )
+            what += "and later ones less: doses take several scoops each, the last ones many, and not all may be good"
+            remedy = "a deeper mortar, or a larger one"
+            problems.warn(plan.recipe.marks[f"sources.{source.name}"], what, remedy, code="poor-strokes")
 
 
 def _check_odds(recipe: Recipe, problems: Problems) -> None:
@@ -212,7 +230,7 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
         _warn_of_strain(strained, lab, problems)
         return
     from scuhand_bt.run.prepared_motion import prepared_motion
-    from scuhand_bt.run.ways import MortarCannotBeScooped, MortarStandsBadly
+    from scuhand_bt.run.ways import MortarStandsBadly
 
     try:
         strained = _strained(prepared_motion(plan, lab, for_real=True))

@@ -16,32 +16,24 @@ import numpy as np
 from scuhand_bt.bench_spec import Obstacle, Point, Station, turned
 from scuhand_bt.cell.cell import carrying_limit_deg
 from scuhand_bt.cell.places import all_places, over_balance
-from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
-from scuhand_bt.devices.interfaces import Joints
-from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
-from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg
-from scuhand_bt.dosing.swing import stroke_path
-from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.dosing.ladle import NoStrokeError
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.cell_solids import are_in_each_other, full_mortar, solids_of
-from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.recipe.sample import Demand
+from scuhand_bt.run.stroke_ways import (
+    LEAST_BED_MG,
+    MortarCannotBeScooped,
+    headings_deg,
+    require_first,
+    stroke_in,
+    swing_and_out,
+)
 from scuhand_bt.specs import ContainerKind, Mortar, Source
 
-STEP_DEG = 30
-"""Between the directions in which a stroke is looked for."""
-LEAST_BED_MG = 30.0
-"""Less in a mortar is not scooped any more."""
-WORTH_SHARE = 0.01
-"""Of bed and load a stroke brings as much at least, or `LEAST_BED_MG`: a run takes less for that of an empty mortar."""
-FIRST_SHARE = 0.08
-"""Of bed and load a first stroke brings so much at least, or all that is needed. In dry runs of 8 doses of 500 mg of
-MSG, from bowls of 55 to 58 mm, where it is 0.01 to 0.07, one at most came; from one of 60 mm (0.12) five."""
 LOWERING_M_PER_S = 0.06
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
 """Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
@@ -59,14 +51,6 @@ class MortarStandsBadly(SkillFailed):
         self.station = station
 
 
-class MortarCannotBeScooped(SkillFailed):
-    """Wherever it stands, what lies in this `source` cannot be scooped."""
-
-    def __init__(self, source: str, why: str) -> None:
-        super().__init__(Code.ARM_NO_PATH, f"'{source}' cannot be scooped from: {why}")
-        self.source = source
-
-
 def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind]) -> None:
     """Plan all of them; SkillFailed arm.* for one that there is not.
 
@@ -75,9 +59,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
     """
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
     for demand in scooped:
-        source = demand.source
-        worth_mg = FIRST_SHARE * min(source.amount_mg, source.powder.load_limit_mg)
-        _stroke_worth(cell, source, source.amount_mg, min(worth_mg, demand.needed_mg))
+        require_first(cell, demand)
     try:
         _ways(motion, plan, cell, kinds, scooped)
     except MortarCannotBeScooped:
@@ -165,46 +147,16 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
 
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> None:
     """A stroke in some direction, and from its end to where loads are carried from."""
-    if why := _why_no_stroke(motion, cell, source, bed_mg):
-        where = f"at '{source.station}' no stroke is possible in any direction"
-        raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
-
-
-def _stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> Stroke:
-    """What is made in such a bed; MortarCannotBeScooped where it brings less than is worth it."""
-    bed, slant_mm = Bed(source.mortar, bed_mg, source.powder), cell.hand.sheet_radius_mm
-    try:
-        stroke = chosen(bed, slant_mm, source.powder.load_limit_mg)
-    except NoStrokeError as error:
-        raise MortarCannotBeScooped(source.name, str(error)) from None
-    if (brings_mg := expected_mg(stroke, bed, slant_mm)) < worth_mg:
-        brings = f"of {format_mass(bed_mg)} a stroke in this bowl brings {format_mass(brings_mg)}"
-        why = f"{brings} without a heap over its edge; take a deeper mortar, or a larger one"
-        raise MortarCannotBeScooped(source.name, why)
-    return stroke
-
-
-def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
-    """Empty where one is possible. MortarCannotBeScooped where none is of what lies there, wherever it stands."""
-    hand, mortar = cell.hand, source.mortar
-    worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
-    stroke = _stroke_worth(cell, source, bed_mg, worth_mg)
-    x_mm, y_mm, _ = cell.stations[source.station].position_mm
-    across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
-    begin, why = motion.standing_at(source.station), ""
-    for turn_deg in range(0, 360, STEP_DEG):
+    stroke, why = stroke_in(cell, source, bed_mg), ""
+    for heading_deg in headings_deg(cell, source.station):
         try:
-            turned = replace(stroke, heading_deg=(across_deg + turn_deg) % 360.0)
-            path = stroke_path(Vessel.of(mortar), turned, Ladle.of(hand))
-            swing = planned_stroke(motion, begin, path, cell, source.station, mortar)
-            _out_of_mortar(motion, cell, source, swing.end[:-1], float(path.rim_mm[-1]))
+            swing_and_out(motion, cell, source, replace(stroke, heading_deg=heading_deg))
         except (NoStrokeError, SkillFailed) as error:
             why = why or str(error)
         else:
-            return ""
-        finally:
-            motion.set_geometry()
-    return why
+            return
+    where = f"at '{source.station}' no stroke is possible in any direction"
+    raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
 
 def _elsewhere(
@@ -305,15 +257,3 @@ def _stands_in_mesh(solid: Obstacle, place_mm: Point, mortar: Mortar) -> bool:
     wide = {"outer_diameter_mm": mortar.outer_diameter_mm + 2 * BESIDE_MM, "height_mm": height_mm}
     (surface,) = solids_of([solid])
     return are_in_each_other(full_mortar(there, mortar.model_copy(update=wide)), surface)
-
-
-def _out_of_mortar(motion: MotionPlanner, cell: CellSpec, source: Source, end: Joints, rim_mm: float) -> None:
-    motion.set_geometry(rim_mm / 1000)
-    limit_deg = carrying_limit_deg(cell, source.powder, source.powder.load_limit_mg, rim_mm)
-    there = motion.move(end, source.station, spill_limit_deg=limit_deg).end
-    motion.reform(
-        there,
-        source.station,
-        MOUNTED_DIAMETER_MM,
-        lambda rim_mm: math.radians(Cone(rim_mm, cell.hand.sheet_radius_mm).roller_deg(cell.hand)),
-    )

@@ -1,0 +1,122 @@
+"""The strokes that a run makes in a mortar, by the skill's own choice, and whether the arm can: before it is to."""
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from scuhand_bt.cell.cell import carrying_limit_deg
+from scuhand_bt.cell.scooping import planned_stroke
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
+from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg
+from scuhand_bt.dosing.swing import stroke_path
+from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.quantity import format_mass
+from scuhand_bt.recipe.sample import Demand
+from scuhand_bt.specs import Source
+
+if TYPE_CHECKING:
+    from scuhand_bt.motion import MotionPlanner
+
+STEP_DEG = 30
+"""Between the directions in which a stroke is looked for."""
+LEAST_BED_MG = 30.0
+"""Less in a mortar is not scooped any more."""
+WORTH_SHARE = 0.01
+"""Of bed and load a stroke brings as much at least, or `LEAST_BED_MG`: a run takes less for that of an empty mortar."""
+
+FIRST_SHARE = 0.08
+"""Of bed and load a first stroke brings so much at least, or all that is needed. In dry runs of 8 doses of 500 mg of
+MSG, from bowls of 55 to 58 mm, where it is 0.01 to 0.07, one at most came; from one of 60 mm (0.12) five."""
+POOR_SHARE, POOR_DOSES = 0.15, 2.0
+"""And so little that doses take several scoops each: less than this share, and so many of the largest dose. By the
+height field, of 8 doses of 500 mg of 6 g in a bowl of 60 and 20 mm, where it is 0.12 of MSG and 0.10 of titanium
+dioxide, the last four take 8 and 12 scoops, or 22 in a dry run; in one of 62 and 21 mm (0.22, 0.19) 4 and 2."""
+
+
+class MortarCannotBeScooped(SkillFailed):
+    """Wherever it stands, what lies in this `source` cannot be scooped."""
+
+    def __init__(self, source: str, why: str) -> None:
+        super().__init__(Code.ARM_NO_PATH, f"'{source}' cannot be scooped from: {why}")
+        self.source = source
+
+
+def require_first(cell: CellSpec, demand: Demand) -> None:
+    """MortarCannotBeScooped where the first stroke in what a plan begins with brings too little for it."""
+    source = demand.source
+    worth_mg = FIRST_SHARE * _at_once_mg(source)
+    stroke_worth(cell, source, source.amount_mg, min(worth_mg, demand.needed_mg))
+
+
+def poor_first_mg(cell: CellSpec, source: Source, largest_mg: float) -> float | None:
+    """What the first stroke brings, where that is so little that doses, of so much at most, take several scoops each.
+
+    None where it brings more, and where there is none.
+    """
+    bed, slant_mm = Bed(source.mortar, source.amount_mg, source.powder), cell.hand.sheet_radius_mm
+    try:
+        brings_mg = expected_mg(chosen(bed, slant_mm, source.powder.load_limit_mg), bed, slant_mm)
+    except NoStrokeError:
+        return None
+    return brings_mg if brings_mg < min(POOR_SHARE * _at_once_mg(source), POOR_DOSES * largest_mg) else None
+
+
+def _at_once_mg(source: Source) -> float:
+    """The most that a first stroke could bring."""
+    return min(source.amount_mg, source.powder.load_limit_mg)
+
+
+def stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> Stroke:
+    """What is made in such a bed; MortarCannotBeScooped where it brings less than is worth it."""
+    bed, slant_mm = Bed(source.mortar, bed_mg, source.powder), cell.hand.sheet_radius_mm
+    try:
+        stroke = chosen(bed, slant_mm, source.powder.load_limit_mg)
+    except NoStrokeError as error:
+        raise MortarCannotBeScooped(source.name, str(error)) from None
+    if (brings_mg := expected_mg(stroke, bed, slant_mm)) < worth_mg:
+        brings = f"of {format_mass(bed_mg)} a stroke in this bowl brings {format_mass(brings_mg)}"
+        why = f"{brings} without a heap over its edge; take a deeper mortar, or a larger one"
+        raise MortarCannotBeScooped(source.name, why)
+    return stroke
+
+
+def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
+    """What is made in a bed on the way through a mortar. MortarCannotBeScooped where nothing comes of it."""
+    worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
+    return stroke_worth(cell, source, bed_mg, worth_mg)
+
+
+def headings_deg(cell: CellSpec, station: str) -> Iterator[float]:
+    """The directions that a mortar is scooped in, about the vertical from x; across the arm's reach first."""
+    x_mm, y_mm, _ = cell.stations[station].position_mm
+    across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
+    for turn_deg in range(0, 360, STEP_DEG):
+        yield (across_deg + turn_deg) % 360.0
+
+
+def swing_and_out(motion: "MotionPlanner", cell: CellSpec, source: Source, stroke: Stroke) -> float:
+    """A stroke in its direction, its load to the mortar's place, and the cone opened: how long it swings [s].
+
+    NoStrokeError, or SkillFailed arm.*, where one of these cannot be.
+    """
+    path = stroke_path(Vessel.of(source.mortar), stroke, Ladle.of(cell.hand))
+    try:
+        begin = motion.standing_at(source.station)
+        swing = planned_stroke(motion, begin, path, cell, source.station, source.mortar)
+        rim_mm = float(path.rim_mm[-1])
+        motion.set_geometry(rim_mm / 1000)
+        limit_deg = carrying_limit_deg(cell, source.powder, source.powder.load_limit_mg, rim_mm)
+        there = motion.move(swing.end[:-1], source.station, spill_limit_deg=limit_deg).end
+        motion.reform(
+            there,
+            source.station,
+            MOUNTED_DIAMETER_MM,
+            lambda rim_mm: math.radians(Cone(rim_mm, cell.hand.sheet_radius_mm).roller_deg(cell.hand)),
+        )
+    finally:
+        motion.set_geometry()
+    return swing.duration_s
