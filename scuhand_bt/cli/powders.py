@@ -2,54 +2,80 @@
 forget it.
 """
 
+from collections.abc import Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import LabOption, app, lab_state, out, the_lab, unknown
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, lab_state, out, print_json, the_lab, unknown
 
 if TYPE_CHECKING:
-    from scuhand_bt.api.books import LabState, PowderBelief
+    from scuhand_bt.api.books import LearntYield, PowderBelief, Taught
 
 group = typer.Typer(invoke_without_command=True)
 app.add_typer(group, name="powders")
 
+FIGURES = {
+    "C'": ("coefficient", ".1f"),
+    "seen at mm": ("gap_mm", ".2f"),
+    "onset mm": ("threshold_mm", ".2f"),
+    "narrowest mm": ("narrowest_mm", ".2f"),
+    "exponent": ("exponent", ".2f"),
+    "spread": ("spread", ".0%"),
+    "erratic": ("erratic", ".1f"),
+    "surge mg": ("surge_mg", ".1f"),
+    "vibration": ("vibration", ".0%"),
+    "doses": ("doses", "d"),
+}
+"""What each figure of a `PowderBelief` is called, and how it is written."""
+GUESSED = "robot/powders.yaml"
+"""Who says a first guess."""
+
 
 @group.callback()
-def powders(context: typer.Context, lab: LabOption = None) -> None:
+def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Show what the lab believes of its powders, since when and by which run; `powders forget` forgets it."""
     if context.invoked_subcommand is not None:
         context.obj = lab
         return
     loaded = the_lab(lab)
     state = lab_state(loaded)
-    table = Table(
-        "powder lot", "C'", "onset mm", "exponent", "spread", "surge mg", "vibration", "doses", "learnt", "at"
-    )
+    learnt = [one for simulated in (False, True) for one in state.powders(simulated=simulated).items()]
+    scoops = [one for simulated in (False, True) for one in state.yields(simulated=simulated).items()]
+    if as_json:
+        guesses = [_values(name, powder.belief, None) for name, powder in loaded.library.powders.items()]
+        beliefs = guesses + [_values(name, one.belief, one) for name, one in learnt]
+        brought = [{"lot": lot, "mortar": mortar, "share": one.share, **_taught(one)} for (lot, mortar), one in scoops]
+        print_json({"beliefs": beliefs, "scoops": brought})
+        return
+    table = Table(Column("powder lot", overflow="fold"), *FIGURES, "by", show_edge=False)
     for name, powder in loaded.library.powders.items():
-        table.add_row(name, *_belief_cells(powder.belief), "first guess (robot/powders.yaml)", "", style="dim")
-    for simulated in (False, True):
-        for name, learnt in state.powders(simulated=simulated).items():
-            table.add_row(Text(name), *_belief_cells(learnt.belief), Text(learnt.origin), learnt.at)
+        table.add_row(Text(name), *_belief_cells(powder.belief), "first guess", style="dim")
+    for name, one in learnt:
+        table.add_row(Text(name), *_belief_cells(one.belief), "SIMULATED" if one.simulated else "doses")
     out.print(table)
-    if (scoops := _scoops(state)).row_count:
-        out.print(scoops)
+    if learnt:
+        origins = Table(Column("powder lot", overflow="fold"), "learnt", "at", show_edge=False)
+        for name, one in learnt:
+            origins.add_row(Text(name), Text(one.origin), one.at)
+        out.print("", origins, sep="\n")
+    if scoops:
+        out.print("", _scoops(scoops), sep="\n")
 
 
-def _scoops(state: "LabState") -> Table:
+def _scoops(scoops: "Sequence[tuple[tuple[str, str], LearntYield]]") -> Table:
     """What scoops bring of what is expected of them."""
     from scuhand_bt.api.books import YIELD_BELIEVED_FOR
 
-    table = Table("scoops of", "in", "bring of what is expected", "learnt", "at")
+    table = Table("scoops of", "in", "bring of what is expected", "learnt", "at", show_edge=False)
     now = datetime.now().astimezone()
-    for simulated in (False, True):
-        for (lot, mortar), learnt in state.yields(simulated=simulated).items():
-            is_old = learnt.is_older_than(YIELD_BELIEVED_FOR, now)
-            told = f"{learnt.share:.0%}{f', older than {YIELD_BELIEVED_FOR.days} days: learnt anew' if is_old else ''}"
-            table.add_row(Text(lot), Text(mortar), told, Text(learnt.origin), learnt.at)
+    for (lot, mortar), learnt in scoops:
+        is_old = learnt.is_older_than(YIELD_BELIEVED_FOR, now)
+        told = f"{learnt.share:.0%}{f', older than {YIELD_BELIEVED_FOR.days} days: learnt anew' if is_old else ''}"
+        table.add_row(Text(lot), Text(mortar), told, Text(learnt.origin), learnt.at)
     return table
 
 
@@ -74,12 +100,15 @@ def forget(
 
 
 def _belief_cells(belief: "PowderBelief") -> list[str]:
-    return [
-        f"{belief.coefficient:.1f}",
-        f"{belief.threshold_mm:.2f}",
-        f"{belief.exponent:.2f}",
-        f"{belief.spread:.0%}",
-        f"{belief.surge_mg:.1f}",
-        f"{belief.vibration:.0%}",
-        str(belief.doses),
-    ]
+    return [format(getattr(belief, field), written) for field, written in FIGURES.values()]
+
+
+def _values(name: str, belief: "PowderBelief", learnt: "Taught | None") -> dict[str, object]:
+    """For JSON; None: a first guess, which no run has taught."""
+    return {"lot": name, **belief.model_dump(), **_taught(learnt)}
+
+
+def _taught(learnt: "Taught | None") -> dict[str, object]:
+    if learnt is None:
+        return {"says": GUESSED, "simulated": False, "at": ""}
+    return {"says": learnt.run, "simulated": learnt.simulated, "at": learnt.at}

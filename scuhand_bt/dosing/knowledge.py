@@ -146,11 +146,11 @@ class Knowledge:
 
     def _peak(self) -> float:
         """The flow's coefficient as the steepest rise shows it, whatever the balance: it shows no rise too steep."""
+        self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
         if len(self.rows) <= PEAK:
             return 0.0
         rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg - PEAK_NOISES * self.rows[-1].noise_mg
         rise_mg -= LEAST_MG + PEAK_LUMPS * self.bank.surge_mg
-        self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
         return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
 
     @property
