@@ -95,6 +95,17 @@ def on_the_cell(plan: Plan, lab: Lab) -> list[Problem]:
     return problems
 
 
+def doubts(plan: Plan, lab: Lab) -> list[Problem]:
+    """What `check` warns of a sound plan's samples: that fewer of them than is asked for will be in tolerance.
+
+    Less what the recipe says is meant.
+    """
+    problems = Problems()
+    _check_doubts(plan.recipe, lab, problems)
+    told = without_silenced(problems.found, [plan.recipe.path], ())
+    return [problem for problem in problems.found if problem in told]
+
+
 def _merged(lab: Lab, of_lab: list[Problem], of_recipe: list[Problem], *, has_recipe: bool) -> Iterator[Problem]:
     """The problems of both; an error of the lab that breaks nothing of the recipe is a warning."""
     yield from of_recipe
@@ -120,11 +131,15 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
     except SourceError as error:
         problems.found += error.problems
         return None
-    _check_odds(recipe, problems)
-    _check_telling(recipe, lab, problems)
+    _check_doubts(recipe, lab, problems)
     if not fast:
         _check_ways(plan, lab, problems)
     return plan
+
+
+def _check_doubts(recipe: Recipe, lab: Lab, problems: Problems) -> None:
+    _check_odds(recipe, problems)
+    _check_telling(recipe, lab, problems)
 
 
 def _check_odds(recipe: Recipe, problems: Problems) -> None:
