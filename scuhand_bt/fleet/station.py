@@ -209,7 +209,8 @@ class Station:
             with suppress(TimeoutError):
                 say_wish(journal, "stop")
         does, left_s = self._doing(journal) if journal is not None else ("", None)
-        state = f"runs job {taken.id}" + (f": {does}" if does else "")
+        state = f"runs job {taken.id}{', and ends with it' if self._is_leaving.is_set() else ''}"
+        state += f": {does}" if does else ""
         await self._note(state, taken, run, does or "goes on", left_s)
 
     def _doing(self, journal: Path) -> tuple[str, float | None]:
