@@ -45,8 +45,10 @@ def validate(model: type[M], node: Node, problems: Problems, known: str = "", **
 
 def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems) -> None:
     mark, owner = node.mark, node
+    named = list[str]()  # of the steps those that are written: one into a union is the name of a kind
     for i, step in enumerate(error["loc"], start=1):
         if isinstance(owner, Entries) and step in owner.values:
+            named.append(step)
             is_key_wrong = error["type"] == "extra_forbidden" and i == len(error["loc"])
             mark = owner.keys[step] if is_key_wrong else owner.values[step].mark
             if not is_key_wrong:
@@ -54,7 +56,8 @@ def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems)
         elif isinstance(owner, Items) and isinstance(step, int) and step < len(owner.items):
             owner = owner.items[step]
             mark = owner.mark
-    name = next((step for step in reversed(error["loc"]) if isinstance(step, str)), "")
+    last = next((step for step in reversed(error["loc"]) if isinstance(step, str)), "")
+    name = named[-1] if named and error["type"] != "missing" else last
     if error["type"] == "extra_forbidden":
         known = _keys_at(model, error["loc"][:-1])
         problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known, code="unknown-key")

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -402,6 +402,13 @@ async def works(
         await working
 
 
+def begun_for(order: Submission) -> RunBegun:
+    """The first word of a run that a station has begun, on the cell."""
+    path = f"/queue/{order.order.key}/r.yaml"
+    header = {**HEADER, "mode": "real devices", "simulated": False, "recipe_path": path, "planned_s": 100.0}
+    return RunBegun.model_validate(header)
+
+
 def all_over(jobs: list[QueuedJob]) -> bool:
     return all(job.status not in ("todo", "doing") for job in jobs)
 
@@ -510,13 +517,6 @@ def test_what_holds_up_a_run_and_how_much_of_it_is_left_is_said_in_the_queue_and
 ) -> None:
     lab = make_lab(tmp_path / "lab")
     path = lab / ".scuhand" / "runs" / "night.sqlite"
-    begun: dict[str, Any] = {
-        **HEADER,
-        "mode": "real devices",
-        "simulated": False,
-        "recipe_path": f"/queue/{order.order.key}/r.yaml",
-    }
-    begun["planned_s"] = 100.0
     asked = "Is a fresh sheet in the hand?"
 
     async def check() -> None:
@@ -529,7 +529,7 @@ def test_what_holds_up_a_run_and_how_much_of_it_is_left_is_said_in_the_queue_and
                 written.event(event)
                 written.flush()
 
-            writes(RunBegun.model_validate(begun))
+            writes(begun_for(order))
             station = Station(queue, lab, "here", Manner(operator="Ada"), print, look_s=0.1)
 
             with Presence(path):
@@ -560,18 +560,53 @@ def test_what_holds_up_a_run_and_how_much_of_it_is_left_is_said_in_the_queue_and
     run(check())
 
 
+def test_a_station_that_waits_for_the_run_of_one_before_it_says_what_that_does(
+    database: str, tmp_path: Path, order: Submission, offer: Offer
+) -> None:
+    """The queue stood still from the death of a station until the end of its run."""
+    lab, said = make_lab(tmp_path / "lab"), list[str]()
+    path = lab / ".scuhand" / "runs" / "night.sqlite"
+    for folder in ("runs", "queue"):
+        (lab / ".scuhand" / folder).mkdir(parents=True)
+
+    async def check() -> None:
+        async with enrolled(database, offer, "here") as queue:
+            await queue.submit([but(order, stations=("here",))])
+            await queue.take("here")
+            with Presence(path), Presence(lab / ".scuhand" / "queue"), closing(Journal(path, durable=False)) as written:
+                written.event(begun_for(order))
+                written.event(Paused())
+                written.flush()
+                station = Station(queue, lab, "here", Manner(operator="Ada"), said.append, look_s=0.1)
+                working = asyncio.ensure_future(station.work())
+                told = "is paused; `scuhand-bt resume night` continues"
+                while [(one.said, one.left_s) for one in await queue.jobs(every=False, limit=9)] != [(told, 100.0)]:
+                    await asyncio.sleep(0.05)
+                assert [one.state for one in await queue.stations()] == [f"runs job 1: {told}"]
+                await asyncio.sleep(0.5)
+                station.leave()
+                await working
+
+    run(check())
+    waits = "another station of this lab works, or the run that it has left goes on; waiting for it"
+    assert said == [waits, "runs job 1: is paused; `scuhand-bt resume night` continues"]
+
+
 def test_a_station_that_ends_with_its_run_at_a_ctrl_c_says_what_that_has_come_to(database: str, tmp_path: Path) -> None:
     lab = make_lab(tmp_path / "lab")
-    order = submission_of(plan_of(lab, count=8), simulated=True)
+    order = submission_of(plan_of(lab, count=30), simulated=True)
 
     async def check() -> None:
         async with open_queue(database) as queue:
             await queue.submit([but(order, stations=("here",))])
             station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
 
-            def interrupted(jobs: list[QueuedJob]) -> bool:
+            async def interrupted(jobs: list[QueuedJob]) -> bool:
                 if not jobs[0].run:
                     return False
+                station.leave()
+                while [one.state for one in await queue.stations()] != ["runs job 1, and ends with it"]:
+                    await asyncio.sleep(0.05)
                 child = station._child
                 assert child is not None
                 child.send_signal(signal.SIGINT)

@@ -1,7 +1,9 @@
 """Plans: the order of the jobs, the sheet swaps, what is needed and who."""
 
+import json
+
 import pytest
-from conftest import Desk, LabFolder
+from conftest import Call, Desk, LabFolder
 
 from scuhand_bt.problems import Problems
 from scuhand_bt.recipe.plan import Plan, make_plan
@@ -66,6 +68,22 @@ def test_the_plan_lists_every_moment_that_needs_a_person(desk: Desk, lab_folder:
     by_hand = [person.what for person in plan_of(desk).persons]
     assert by_hand[:2] == ["put xrd_holder 'a' on the pan", "put xrd_holder 'c' on the pan"]
     assert by_hand[-1] == "take the container off the pan"
+
+
+def test_a_plan_is_warned_of_what_check_warns_of_its_samples(lab_folder: LabFolder, command: Call) -> None:
+    recipe = """recipe: lumps
+workflow: scoop_and_dispense
+sources: {{m: {{station: mortar_bay, container: agate_mortar, powder: titanium_dioxide, amount: 5 g}}}}
+samples: [{{id: a, source: m, container: xrd_holder, mass: 60 mg, tolerance: 3 mg}}]{meant}
+"""
+    path = lab_folder.write("recipes/lumps.yaml", recipe.format(meant=""))
+    (checked,) = json.loads(command("check", path, "--fast", "--json").stdout)["problems"]
+    assert checked["code"] == "unlikely"
+    assert json.loads(command("plan", path, "--trials", 0, "--json").stdout)["problems"] == [checked]
+    line = command("check", path, "--fast").stdout.splitlines()[0]
+    assert line in command("plan", path, "--trials", 0).stdout.splitlines()
+    lab_folder.write("recipes/lumps.yaml", recipe.format(meant="  # ok: unlikely"))
+    assert json.loads(command("plan", path, "--trials", 0, "--json").stdout)["problems"] == []
 
 
 def test_a_repeated_request_is_one_line_and_its_time_counts_each_time(desk: Desk, lab_folder: LabFolder) -> None:

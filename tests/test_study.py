@@ -441,6 +441,15 @@ def test_a_file_that_varies_nothing_sensible_is_told_where(setup: Setup, tmp_pat
     assert said in str(wrong.value)
 
 
+def test_a_range_that_is_none_is_told_by_the_name_of_its_place(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "vary.yaml"
+    path.write_text("vary: {recipe.samples.0.mass: {from: 60 mg, to: 20 mg}, cell.balance.lag: 75}", encoding="utf-8")
+    with pytest.raises(SourceError) as wrong:
+        read_vary(path, setup.recipe, setup.lab)
+    told = [problem.message for problem in wrong.value.problems]
+    assert [message.split(":")[0] for message in told] == ["'recipe.samples.0.mass'", "'cell.balance.lag'"], told
+
+
 def test_a_value_that_may_not_be_is_told_before_the_first_dry_run(
     setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -453,8 +462,49 @@ def test_a_value_that_may_not_be_is_told_before_the_first_dry_run(
         ("recipe.samples.0.container: [xrd_holder, nowhere]", "unknown container 'nowhere'"),
     ):
         vary.write_text(f"vary: {{{ranges}}}", encoding="utf-8")
-        refused = command("study", setup.recipe, "--vary", vary, "--store", tmp_path / "s.sqlite")
-        assert (refused.returncode, said in refused.stderr) == (2, True), refused.stderr
+        for search in ([], ["--optimise", 2]):
+            refused = command("study", setup.recipe, "--vary", vary, "--store", tmp_path / "s.sqlite", *search)
+            assert (refused.returncode, said in refused.stderr) == (2, True), refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "module", "said"),
+    [
+        (("study", "--plot", "odds.png"), "matplotlib", "'odds.png' needs matplotlib: pip install 'scuhand-bt[plot]'"),
+        (("study", "-o", "t.parquet"), "pyarrow", "'t.parquet' needs pyarrow: pip install 'scuhand-bt[study]'"),
+        (("plan", "--html", "p.html"), "jinja2", "'p.html' needs jinja2: pip install 'scuhand-bt[report]'"),
+        (("study", "--plot", "nosuch/odds.png"), "", "'nosuch/odds.png' cannot be written: No such file or directory"),
+        (("study", "-o", "nosuch/t.csv"), "", "'nosuch/t.csv' cannot be written: No such file or directory"),
+        (("plan", "--html", "nosuch/p.html"), "", "'nosuch/p.html' cannot be written: No such file or directory"),
+    ],
+)
+def test_what_could_not_be_written_at_the_end_is_told_before_the_first_dry_run(
+    setup: Setup,
+    command: Call,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    module: str,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("scuhand_bt.study.executor_of", MagicMock(side_effect=AssertionError("it was begun")))
+    if module:
+        monkeypatch.setitem(sys.modules, module, None)
+    refused = command(words[0], setup.recipe, *words[1:])
+    assert (refused.returncode, said in " ".join(refused.stderr.split())) == (2, True), refused.stderr
+
+
+def test_what_is_written_at_the_end_is_as_it_was_until_then(
+    setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, new = tmp_path / "before.csv", tmp_path / "new.csv"
+    before.write_text("of another study", encoding="utf-8")
+    monkeypatch.setattr("scuhand_bt.study.executor_of", MagicMock(side_effect=KeyboardInterrupt))
+    for file in (before, new):
+        assert command("study", setup.recipe, "-o", file).returncode == 130
+    assert before.read_text(encoding="utf-8") == "of another study"
+    assert not new.exists()
 
 
 def fake(seed: int, duration_s: float, good: str) -> Trial:

@@ -14,7 +14,7 @@ from scuhand_bt.lab import Lab, find_lab, read_lab, state_folder, with_cell
 from scuhand_bt.problems import Problem
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.checking import Checked, check, on_the_cell, ways_lacking
+from scuhand_bt.run.checking import Checked, check, doubts, on_the_cell, ways_lacking
 
 if TYPE_CHECKING:  # who only checks a recipe does not wait for the arm's kinematics
     from scuhand_bt.run.control import Control
@@ -104,6 +104,10 @@ class OpenLab:
         With `ways` the arm's ways are planned, too, as `check` does: seconds, unless that was done before.
         """
         return [*on_the_cell(plan, self.lab), *(ways_lacking(plan, self.lab) if ways else ())]
+
+    def doubts(self, plan: Plan) -> list[Problem]:
+        """What `check` warns of the samples of a plan: that fewer than is asked for will be in tolerance."""
+        return doubts(plan, self.lab)
 
     def prepare(
         self,

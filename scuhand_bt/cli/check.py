@@ -30,7 +30,7 @@ def check(
     notes = notes_of(found.plan, opened, quiet=as_json) if found.plan is not None else []
     samples = len(found.plan.recipe.samples) if found.plan is not None else 0
     if as_json:
-        problems = [_values(problem) for problem in found.problems]
+        problems = [values_of(problem) for problem in found.problems]
         print_json({"ok": not is_bad, "samples": samples, "problems": problems, "notes": notes})
     else:
         told, rest = first_of(found.problems)
@@ -59,7 +59,8 @@ def _sum_up(problems: "tuple[Problem, ...]", errors: int, what: str) -> None:
         out.print(f"{count}{' and ' + also if also else ''}; nothing was moved.")
 
 
-def _values(problem: "Problem") -> dict[str, object]:
+def values_of(problem: "Problem") -> dict[str, object]:
+    """A finding, as JSON has it."""
     mark = problem.mark
     return {
         "file": mark.file,

@@ -9,6 +9,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from scuhand_bt.cli.check import line_of, values_of
 from scuhand_bt.cli.shared import (
     PAGES,
     JsonFlag,
@@ -19,6 +20,7 @@ from scuhand_bt.cli.shared import (
     of_kind,
     out,
     print_json,
+    require_can_write,
     the_plan,
 )
 from scuhand_bt.cli.study import WorkersOption, tell_odds
@@ -48,6 +50,7 @@ def plan(
         of_kind(html, *PAGES, option="--html")
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
+        require_can_write(html, "jinja2", extra="report")
     from scuhand_bt.report import amount_cell, asked_cells, composed_lines
 
     made, opened = the_plan(recipe, lab)
@@ -58,13 +61,16 @@ def plan(
         return _odds(of, loaded, trials, workers)
 
     notes = notes_of(made, opened, quiet=as_json, ways=bool(trials))
+    doubts = opened.doubts(made)
     odds = tried(made) if trials else None
     if html is not None and odds is not None:
-        _preview(made, loaded, odds, list(_of_persons(made, loaded, odds, hours, tried)), html)
+        persons = list(_of_persons(made, loaded, odds, hours, tried))
+        _preview(made, loaded, odds, html, doubts=list(map(line_of, doubts)), persons=persons)
         return
     if as_json:
         night_values = _night_values(made, odds, hours) if odds is not None and hours is not None else None
-        print_json({**_plan_values(made), "odds": odds and asdict(odds), "night": night_values, "notes": notes})
+        values = {**_plan_values(made), "odds": odds and asdict(odds), "night": night_values}
+        print_json({**values, "problems": list(map(values_of, doubts)), "notes": notes})
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):
@@ -92,6 +98,8 @@ def plan(
     out.print(powders)
     if odds is not None:
         tell_odds(odds)
+    for doubt in doubts:
+        out.print(Text(line_of(doubt)), soft_wrap=True)
     rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
     out.print(f"\nSheet swaps between samples: {made.swaps}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
@@ -143,16 +151,13 @@ def _of_persons(
         yield from in_words(made, lab, odds, hours, tried)
 
 
-def _preview(made: "Plan", lab: "Lab", odds: "Odds", lines: Sequence[str], page: Path) -> None:
+def _preview(
+    made: "Plan", lab: "Lab", odds: "Odds", page: Path, *, doubts: Sequence[str], persons: Sequence[str]
+) -> None:
     """Write the plan as a page."""
-    try:
-        from scuhand_bt.report import preview_page
+    from scuhand_bt.report import preview_page
 
-        page.write_text(preview_page(made, lab, odds, lines), encoding="utf-8")
-    except ModuleNotFoundError as error:
-        raise typer.BadParameter(f"a page needs {error.name}: pip install 'scuhand-bt[report]'") from None
-    except OSError as error:
-        raise typer.BadParameter(f"'{page}' cannot be written: {error.strerror or error}") from None
+    page.write_text(preview_page(made, lab, odds, doubts=doubts, of_persons=persons), encoding="utf-8")
     out.print(Text(f"Written: {page}"), soft_wrap=True)
 
 

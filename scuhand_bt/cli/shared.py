@@ -2,10 +2,12 @@
 
 import io
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -218,6 +220,20 @@ def of_kind(path: Path, *suffixes: str, option: str = "--output") -> Path:
     if path.suffix.lower() not in suffixes:
         raise typer.BadParameter(f"'{path}' is to be a file of this kind: {', '.join(suffixes)}", param_hint=option)
     return path
+
+
+def require_can_write(path: Path, *modules: str, extra: str) -> None:
+    """Before long work: raises BadParameter where a file cannot be written at its end, or its `extra` is missing."""
+    for name in modules:
+        if find_spec(name) is None:
+            raise typer.BadParameter(f"'{path}' needs {name}: pip install 'scuhand-bt[{extra}]'")
+    is_new = not os.path.lexists(path)
+    try:
+        path.open("ab").close()
+        if is_new:
+            path.unlink()
+    except OSError as error:
+        raise typer.BadParameter(f"'{path}' cannot be written: {error.strerror}") from None
 
 
 def write_picture(path: Path, write: Callable[[], object]) -> None:

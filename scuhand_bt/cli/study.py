@@ -20,8 +20,8 @@ from scuhand_bt.cli.shared import (
     of_kind,
     out,
     print_json,
+    require_can_write,
     the_plan,
-    write_picture,
 )
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
@@ -67,7 +67,8 @@ def study(
         TABLE_KINDS,
         Setup,
         all_trials,
-        check_ends,
+        check_setups,
+        ends_of,
         executor_of,
         files_hash,
         odds_of,
@@ -82,6 +83,8 @@ def study(
             of_kind(file, *kinds, option=hint)
             if optimise is not None:
                 raise typer.BadParameter("a search proposes figures, and writes nothing else", param_hint=hint)
+            needed, extra = ("matplotlib", "plot") if file is plot else ("pyarrow", "study")
+            require_can_write(file, *([needed] if file.suffix.lower() != ".csv" else []), extra=extra)
     if dask is not None and workers is not None:
         raise typer.BadParameter("a Dask cluster has its own", param_hint="--workers")
     check_controller(controller)
@@ -96,6 +99,7 @@ def study(
     if optimise is not None:
         if varied is None:
             raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
+        check_setups([replace(setup, changes=changes) for changes in varied.ends()])
         with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
             seeds = range(first_seed, first_seed + trials)
             _propose(setup, varied, optimise, seeds, executor, kept, as_json=as_json)
@@ -105,7 +109,7 @@ def study(
     if (many := len(apart) * trials) > MOST_TRIALS:
         raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
     if varied is not None:
-        check_ends(apart)
+        check_setups(ends_of(apart))
     tasks = [(draw, seed) for draw in apart for seed in range(first_seed, first_seed + trials)]
     found: dict[Task, Trial] = {}
     with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
@@ -119,7 +123,7 @@ def study(
     odds = odds_of(made, [one for _, one in ordered], as_written=as_written)
     dominant = _dominant(varied, draws, ordered) if varied is not None else {}
     if plot is not None:
-        write_picture(plot, lambda: plot_study(odds, [one for _, one in ordered], dominant, plot, made.recipe.name))
+        plot_study(odds, [one for _, one in ordered], dominant, plot, made.recipe.name)
     if as_json:
         print_json({**asdict(odds), "draws": len(apart), "indices": dominant})
         return

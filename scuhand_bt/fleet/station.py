@@ -103,7 +103,7 @@ class Station:
                 try:
                     goes_on = await self._look()
                 except ConnectorException as error:
-                    self._tell(f"the queue's database is not reached ({error.__cause__}); trying again")
+                    self._tell_of_no_database(error)
                     goes_on = False
                 if self._is_leaving.is_set() and not had_child:  # whose end this look has seen to
                     with suppress(ConnectorException):
@@ -123,9 +123,21 @@ class Station:
             try:
                 return Presence(self._orders)
             except Held:
-                self._tell("another station of this lab works, or the run that it has left goes on; waiting for it")
+                if not self._said:
+                    self._tell("another station of this lab works, or the run that it has left goes on; waiting for it")
+                await self._look_on()
                 await self._wait()
         return None
+
+    async def _look_on(self) -> None:
+        """While this lab's place for a station is another's: say what its run does, which nobody else may."""
+        try:
+            taken = await self._queue.taken(self.name)
+            journal = self._journal_of(taken.order.key) if taken is not None and taken.order is not None else None
+            if taken is not None and journal is not None and is_held(journal):
+                await self._goes_on(taken, journal)
+        except ConnectorException as error:
+            self._tell_of_no_database(error)
 
     async def _require_one_name(self) -> None:
         """SourceError where jobs of this station wait under another name: one may hold back all others of this cell."""
@@ -197,7 +209,8 @@ class Station:
             with suppress(TimeoutError):
                 say_wish(journal, "stop")
         does, left_s = self._doing(journal) if journal is not None else ("", None)
-        state = f"runs job {taken.id}" + (f": {does}" if does else "")
+        state = f"runs job {taken.id}{', and ends with it' if self._is_leaving.is_set() else ''}"
+        state += f": {does}" if does else ""
         await self._note(state, taken, run, does or "goes on", left_s)
 
     def _doing(self, journal: Path) -> tuple[str, float | None]:
@@ -294,6 +307,9 @@ class Station:
             news["left_s"] = LEFT_STEP_S * math.ceil(left_s / LEFT_STEP_S)
         if taken is not None and not news.items() <= taken.job.task_kwargs.items():
             await self._queue.note(taken.id, news)
+
+    def _tell_of_no_database(self, error: ConnectorException) -> None:
+        self._tell(f"the queue's database is not reached ({error.__cause__}); trying again")
 
     def _tell(self, line: str) -> None:
         if line != self._said:

@@ -26,8 +26,10 @@ from scuhand_bt.study.odds import COVERED, Odds, Range
 NEVER = "in no dry run"
 
 
-def preview_page(plan: Plan, lab: Lab, odds: Odds, of_persons: Sequence[str] = ()) -> str:
-    """The page; `of_persons` is told beside when a person is needed.
+def preview_page(
+    plan: Plan, lab: Lab, odds: Odds, *, doubts: Sequence[str] = (), of_persons: Sequence[str] = ()
+) -> str:
+    """The page; `doubts` are told beside the samples' odds, and `of_persons` beside when a person is needed.
 
     Raises as `Session` for a plan that no dry run can be made of.
     """
@@ -47,6 +49,7 @@ def preview_page(plan: Plan, lab: Lab, odds: Odds, of_persons: Sequence[str] = (
         jobs=list(_jobs(plan, odds)),
         powder_columns=_powder_columns(odds),
         powders=list(_powders(plan, odds)),
+        doubts=doubts,
         failures=[(code, f"{count:.2g}") for code, count in odds.codes.items()],
         persons=list(_persons(plan, odds)),
         of_persons=of_persons,

@@ -97,6 +97,17 @@ def on_the_cell(plan: Plan, lab: Lab) -> list[Problem]:
     return problems
 
 
+def doubts(plan: Plan, lab: Lab) -> list[Problem]:
+    """What `check` warns of a sound plan's samples: that fewer of them than is asked for will be in tolerance.
+
+    Less what the recipe says is meant.
+    """
+    problems = Problems()
+    _check_doubts(plan.recipe, lab, problems)
+    told = without_silenced(problems.found, [plan.recipe.path], ())
+    return [problem for problem in problems.found if problem in told]
+
+
 def _merged(lab: Lab, of_lab: list[Problem], of_recipe: list[Problem], *, has_recipe: bool) -> Iterator[Problem]:
     """The problems of both; an error of the lab that breaks nothing of the recipe is a warning."""
     yield from of_recipe
@@ -122,14 +133,19 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
     except SourceError as error:
         problems.found += error.problems
         return None
+<<<<<<< HEAD
     _check_odds(recipe, problems)
     _check_telling(recipe, lab, problems)
     _check_first_strokes(plan, lab, problems)
+=======
+    _check_doubts(recipe, lab, problems)
+>>>>>>> 2a08acc7fa73cce07f05d9ea9142b5fa52598bbb
     if not fast:
         _check_ways(plan, lab, problems)
     return plan
 
 
+<<<<<<< HEAD
 def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
     """Warn of bowls that give so little at a time that doses take several scoops; of less still, runs are refused."""
     for demand in plan.demands:
@@ -143,6 +159,11 @@ def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
             what += "and later ones less: doses take several scoops each, the last ones many, and not all may be good"
             remedy = "a deeper mortar, or a larger one"
             problems.warn(plan.recipe.marks[f"sources.{source.name}"], what, remedy, code="poor-strokes")
+=======
+def _check_doubts(recipe: Recipe, lab: Lab, problems: Problems) -> None:
+    _check_odds(recipe, problems)
+    _check_telling(recipe, lab, problems)
+>>>>>>> 2a08acc7fa73cce07f05d9ea9142b5fa52598bbb
 
 
 def _check_odds(recipe: Recipe, problems: Problems) -> None:

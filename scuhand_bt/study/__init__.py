@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from scuhand_bt.study.store import Store, open_store
     from scuhand_bt.study.table import TABLE_KINDS, write_table
     from scuhand_bt.study.trial import Setup, Task, Trial
-    from scuhand_bt.study.vary import Vary, check_ends, goes_with, means_of, read_vary
+    from scuhand_bt.study.vary import Vary, check_setups, ends_of, goes_with, means_of, read_vary
 else:
     __getattr__, __dir__ = front(
         __name__,
@@ -28,7 +28,7 @@ else:
             "study.store": "Store open_store",
             "study.table": "TABLE_KINDS write_table",
             "study.trial": "Setup Task Trial",
-            "study.vary": "Vary check_ends goes_with means_of read_vary",
+            "study.vary": "Vary check_setups ends_of goes_with means_of read_vary",
         },
     )
 
@@ -43,8 +43,9 @@ __all__ = [
     "Trial",
     "Vary",
     "all_trials",
-    "check_ends",
+    "check_setups",
     "diff",
+    "ends_of",
     "executor_of",
     "fates",
     "files_hash",

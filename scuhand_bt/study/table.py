@@ -14,7 +14,7 @@ TABLE_KINDS = (".csv", ".parquet")
 
 
 def write_table(path: Path, trials: Sequence[tuple[Task, Trial]]) -> None:
-    """Write it as its suffix says. SourceError where that cannot be done."""
+    """Write it as its suffix says. SourceError where that cannot be done, ImportError without pyarrow for Parquet."""
     found = list(_rows(trials))
     try:
         if path.suffix.lower() == ".parquet":
@@ -24,10 +24,9 @@ def write_table(path: Path, trials: Sequence[tuple[Task, Trial]]) -> None:
             table = csv.DictWriter(file, found[0] if found else [])
             table.writeheader()
             table.writerows(found)
-    except ImportError:
-        raise _cannot(path, "it needs pyarrow; `pip install 'scuhand-bt[study]'`") from None
     except OSError as error:
-        raise _cannot(path, error.strerror or str(error)) from None
+        why = error.strerror or str(error)
+        raise SourceError([Problem(Mark(str(path)), f"cannot be written: {why}")]) from None
 
 
 def _write_parquet(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -51,7 +50,3 @@ def _rows(trials: Sequence[tuple[Task, Trial]]) -> Iterator[dict[str, Any]]:
     for (setup, seed), one in trials:
         for sample in one.samples:
             yield {"seed": seed, "run_s": round(one.duration_s, 1), **dict(setup.changes), **asdict(sample)}
-
-
-def _cannot(path: Path, why: str) -> SourceError:
-    return SourceError([Problem(Mark(str(path)), f"cannot be written: {why}")])

@@ -111,6 +111,15 @@ class Vary(Spec):
             for (place, given), share in zip(self.vary.items(), shares, strict=True)
         )
 
+    def ends(self) -> list[Changes]:
+        """The two ends of each range and each name of each list, with all else in the middle."""
+        middle = self._at([0.5] * len(self.vary))
+        return [
+            tuple((name, value if name == place else at) for name, at in middle)
+            for place, given in self.vary.items()
+            for value in (given if isinstance(given, list) else (given.at(0.0), given.at(1.0)))
+        ]
+
     def indices(self, figures: Sequence[float]) -> Mapping[str, tuple[float, float]]:
         """Of a figure that each draw of `sobol` came to: first-order and total Sobol indices by place."""
         values, places = np.asarray(figures, dtype=float).reshape(-1, self.draws), len(self.vary)
@@ -151,12 +160,8 @@ def read_vary(path: Path, recipe: Path, lab: Path) -> Vary:
     return vary
 
 
-def check_ends(draws: Sequence[Setup]) -> None:
-    """Check the draws with the least and the greatest of each place's numbers, or with each of its names.
-
-    SourceError for all that is wrong with them: else it would end a study when that draw is come to, and what was
-    tried until then is not of the file that is written instead.
-    """
+def ends_of(draws: Sequence[Setup]) -> list[Setup]:
+    """The draws with the least and the greatest of each place's numbers, and with each of its names."""
     values = [dict(draw.changes) for draw in draws]
     ends: dict[Setup, None] = {}
     for place in values[0]:
@@ -165,8 +170,17 @@ def check_ends(draws: Sequence[Setup]) -> None:
         first = {name: of_place.index(name) for name in dict.fromkeys(of_place)} if numbers is None else {}
         found = first.values() if numbers is None else (int(np.argmin(numbers)), int(np.argmax(numbers)))
         ends |= dict.fromkeys(draws[number] for number in found)
+    return list(ends)
+
+
+def check_setups(setups: Sequence[Setup]) -> None:
+    """Plan each. SourceError for all that is wrong with them.
+
+    Else it would end a study when that one is come to, and what was tried until then is not of the file that is written
+    instead.
+    """
     problems: list[Problem] = []
-    for setup in ends:
+    for setup in setups:
         try:
             with changed(setup.recipe, setup.lab, setup.changes) as (recipe, folder):
                 lab = load_lab(folder)
