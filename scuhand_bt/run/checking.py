@@ -133,19 +133,13 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
     except SourceError as error:
         problems.found += error.problems
         return None
-<<<<<<< HEAD
-    _check_odds(recipe, problems)
-    _check_telling(recipe, lab, problems)
-    _check_first_strokes(plan, lab, problems)
-=======
     _check_doubts(recipe, lab, problems)
->>>>>>> 2a08acc7fa73cce07f05d9ea9142b5fa52598bbb
+    _check_first_strokes(plan, lab, problems)
     if not fast:
         _check_ways(plan, lab, problems)
     return plan
 
 
-<<<<<<< HEAD
 def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
     """Warn of bowls that give so little at a time that doses take several scoops; of less still, runs are refused."""
     for demand in plan.demands:
@@ -159,11 +153,11 @@ def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
             what += "and later ones less: doses take several scoops each, the last ones many, and not all may be good"
             remedy = "a deeper mortar, or a larger one"
             problems.warn(plan.recipe.marks[f"sources.{source.name}"], what, remedy, code="poor-strokes")
-=======
+
+
 def _check_doubts(recipe: Recipe, lab: Lab, problems: Problems) -> None:
     _check_odds(recipe, problems)
     _check_telling(recipe, lab, problems)
->>>>>>> 2a08acc7fa73cce07f05d9ea9142b5fa52598bbb
 
 
 def _check_odds(recipe: Recipe, problems: Problems) -> None:

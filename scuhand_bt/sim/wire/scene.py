@@ -14,7 +14,7 @@ from scuhand_bt.drivers import NotPluggable, driver_of, plugged
 from scuhand_bt.sim.instruments import ROOM
 
 M = TypeVar("M", bound=BaseModel)
-LATENCY_S = 0.04
+LATENCY_S = 0.1
 """A twin on a busy computer answers later than a servo does, and is not to be taken for one without power."""
 AT_A_TWIN = {"latency_s": LATENCY_S, "bits": "8N1"}
 """Options that are so at twins: a pseudo-terminal cannot be set to seven bits or parity twice."""
