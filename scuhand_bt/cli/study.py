@@ -193,7 +193,7 @@ def tell_odds(odds: "Odds") -> None:
         what = f"Warning: {name} is in tolerance with a probability of {chance.probability:.0%}"
         out.print(Text(f"{what} ({chance.low:.0%} to {chance.high:.0%})."))
     for code, count in odds.codes.items():
-        out.print(Text(f"{code}: {count:.2g} samples a run."))
+        out.print(Text(f"{code}: {count:.2g} of a run's samples."))
 
 
 def _range(found: "Range", told: Any) -> str:
