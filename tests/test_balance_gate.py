@@ -501,12 +501,12 @@ def test_the_balance_is_shown_and_forgotten(command: Call, lab_folder: LabFolder
     assert command("balance", "--lab", lab_folder.folder).stdout.startswith("Nothing is known yet")
     cell = dry_run(tmp_path, DAY).session.cell
     state = LabState(lab_folder.folder / ".scuhand")
-    belief = BalanceBelief(lag_s=0.31, doubt=0.27, shape="late", adapts=True, misfit=0.34, fits=2)
+    belief = BalanceBelief(lag_s=0.31, doubt=0.27, shape="late", adapts=True, misfit=0.34, noise_mg=0.23, fits=2)
     state.keep(replace(cell, simulated=False, balance_belief=belief), "day-1")
     shown = command("balance", "--lab", lab_folder.folder).stdout
     for said in ("shimadzu simulated, 0.1 mg, 10 Hz", "repeatability", "half its delay, by doses", "0.31 s", "day-1"):
         assert said in shown
-    for said in ("late, adapts", "27%", "34%"):
+    for said in ("late, adapts", "27%", "34%", "noise of a reading, by doses", "0.23 mg"):
         assert said in shown
     rows = json.loads(command("balance", "--lab", lab_folder.folder, "--json").stdout)
     figures = {row["figure"]: row["value"] for row in rows}

@@ -24,6 +24,7 @@ WORDS: Mapping[str, tuple[str, str]] = {
     "lag_doubt": ("doubt of that", "%"),
     "filter": ("its filter, by doses", ""),
     "filter_misfit": ("what that is off by, of what it has yet to show", "%"),
+    "noise_in_doses_mg": ("noise of a reading, by doses", "mg"),
 }
 """What each figure is called, and its unit."""
 

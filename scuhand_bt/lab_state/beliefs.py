@@ -163,6 +163,7 @@ class LabState:
                 "lag_doubt": belief.doubt,
                 "filter": kind,
                 "filter_misfit": belief.misfit,
+                "noise_in_doses_mg": belief.noise_mg,
             }
             rows += [(name, figure, value, learnt.run, learnt.at) for figure, value in taught.items()]
         return rows
