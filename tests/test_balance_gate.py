@@ -200,6 +200,7 @@ def test_a_balance_that_is_set_to_five_seconds_is_dosed_with(tmp_path: Path) -> 
     assert [ran.sample(name).is_good for name in "cd"] == [True, True]
 
 
+@pytest.mark.slow
 def test_a_sound_balance_and_one_that_is_a_little_slower_change_nothing(tmp_path: Path) -> None:
     for number, plant in enumerate((None, f"{__name__}:LittleSlower")):
         folder = tmp_path / str(number)

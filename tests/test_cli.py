@@ -454,6 +454,7 @@ def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "there").iterdir()} == {"world", "made.json"}, "no port is left"
 
 
+@pytest.mark.slow
 def test_the_doctor_is_content_with_the_twins_and_not_with_nothing(command: Call) -> None:
     healthy = json.loads(command("doctor", "--twins", "--yes", "--json").stdout)
     assert [f for f in healthy["findings"] if f["verdict"] == "FAIL"] == []

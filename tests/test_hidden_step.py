@@ -165,6 +165,7 @@ def test_a_zero_that_falls_behind_a_filter_that_rings_is_told(filtered: Filter, 
     assert beside_mg > 1.5
 
 
+@pytest.mark.slow
 def test_doses_on_a_balance_that_rings_are_good(tmp_path: Path) -> None:
     falsifier, tally = Falsifier(tmp_path, ("short",)), Tally("ringing")
     ringing = next(world for world in WORLDS if world.name == "ringing")

@@ -441,6 +441,7 @@ def test_a_real_run_goes_on_from_what_the_one_before_left(real: Callable[..., tu
     assert second.containers_used == {"xrd_holder": 4}
 
 
+@pytest.mark.slow
 def test_a_real_run_asks_for_the_rim_of_a_sheet_that_was_entered_once(
     real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path, starter: Lab
 ) -> None:

@@ -171,6 +171,7 @@ def test_the_audit_measures_a_mesh_as_the_box_that_it_is_the_surface_of(tmp_path
         assert pair == same_pair
 
 
+@pytest.mark.slow
 def test_what_passes_a_portal_of_triangles_touches_nothing_in_the_audit(tmp_path):
     layout = drawn(503, Bench(LAB, meshes=tmp_path))  # it stands between the pan and a mortar
     planner, audit = layout.planner(), Audit(LAB.urdf, layout.cell, layout.mortars, CONTAINER)

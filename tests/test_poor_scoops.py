@@ -142,6 +142,7 @@ def test_every_controller_gives_up_on_a_source_that_gives_nothing(tmp_path: Path
     assert ran.result.reason.startswith("a: scoop.nothing: 2 loads in a row from 'beads' have brought nothing")
 
 
+@pytest.mark.slow
 def test_one_scoop_that_brought_nothing_is_made_again(tmp_path: Path) -> None:
     recipe = RECIPE.replace("POLICY", "stop")
     ran = dry_run(tmp_path, recipe, faults="faults: [{fault: scoop.nothing}]", controller="adaptive")

@@ -161,6 +161,7 @@ class Telling(Watch):
         self.sample_known = plain.sample_known
 
 
+@pytest.mark.slow
 def test_powders_that_change_to_and_fro_are_changed_every_time_over_a_stop(tmp_path: Path) -> None:
     run = Run(tmp_path, make_lab(tmp_path / "lab"), TO_AND_FRO)
 
@@ -196,6 +197,7 @@ tree:
 """
 
 
+@pytest.mark.slow
 def test_the_cone_of_a_failed_blend_goes_into_one_source_over_a_stop(tmp_path: Path) -> None:
     sample = "{id: a, workflow: blend, first: beads, second: msg, container: alumina_crucible, mass: 60 mg}"
     recipe = f"\nrecipe: blends\nsamples: [{sample}]\non_failure: {{otherwise: flag}}\n"

@@ -313,7 +313,9 @@ tree:
 
 
 @pytest.mark.parametrize(
-    ("source", "left", "spilled"), [("beads", 0.01, 0.001), ("msg", 0.02, 0.001)], ids=["beads", "msg, small mortar"]
+    ("source", "left", "spilled"),
+    first_daily(("beads", 0.01, 0.001), ("msg", 0.02, 0.001)),
+    ids=["beads", "msg, small mortar"],
 )
 def test_several_scoops_empty_a_mortar_to_its_last_per_cent(
     tmp_path: Path, source: str, left: float, spilled: float

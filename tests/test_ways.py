@@ -68,6 +68,7 @@ def test_reach_tells_of_the_strokes_that_the_skill_makes_in_its_directions() -> 
     assert [bool(one.why_not) for one in looked_at] == [True, True, True, True, False]
 
 
+@pytest.mark.slow
 def test_a_mortar_over_which_the_arm_can_stand_but_in_which_it_can_make_no_stroke_is_found(lab: LabFolder) -> None:
     stands(lab, LID)
     (problem,) = found(lab, "no-path")
