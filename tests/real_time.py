@@ -49,12 +49,7 @@ def cores() -> int:
 pause = time.sleep
 METRONOME = pytest.StashKey["Metronome"]()
 ATTEMPT = pytest.StashKey[int]()
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """The largest group goes to the first process; the others, which only compute, give way to it."""
-    if getattr(config, "workerinput", {}).get("workerid", "gw0") != "gw0":
-        os.nice(10)
+GIVES_WAY = pytest.StashKey[bool]()
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -68,6 +63,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
     if item.get_closest_marker("real_time") is None:
+        _give_way(item.config)
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for attempt in range(1, ATTEMPTS + 1):
@@ -100,6 +96,13 @@ def pytest_runtest_makereport(
 
 def pytest_report_teststatus(report: pytest.TestReport) -> tuple[str, str, str] | None:
     return ("retried", "R", "RETRIED") if report.outcome == "retried" else None
+
+
+def _give_way(config: pytest.Config) -> None:
+    """Of several processes: which one gets the largest group, as its first, only xdist knows."""
+    if hasattr(config, "workerinput") and not config.stash.get(GIVES_WAY, False):
+        os.nice(10)
+        config.stash[GIVES_WAY] = True
 
 
 def _wait_for_quiet() -> None:

@@ -20,7 +20,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import erfc
 
 from scuhand_bt.dosing.estimation import EXPONENT_ERROR, K_WALK_PER_S, Bank, powers
 from scuhand_bt.dosing.identification import Array
@@ -40,6 +39,8 @@ NARROWEST_MM = 0.05
 
 def chance(bank: Bank, mean_mg: Array, variance: Array, most_mg: float) -> Array:
     """(...) probability of a mass above `most_mg` [mg], from its mean [mg] and variance [mg^2] by model, (..., H)."""
+    from scipy.special import erfc  # half a second, which not every command has to spend
+
     return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)) @ bank.weights)
 
 
@@ -87,6 +88,8 @@ def widest_mm(
     nothing is in the powder's way. `known_gap_mm` is the opening above the threshold that the flow was seen at: what
     the powder's exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
     """
+    from scipy.special import erfc  # as above
+
     widest = max(max_opening_mm - shape.threshold_mm, APART * narrowest_mm)
     choices = _choices(shape, narrowest_mm, widest, answered_s, speed_mm_per_s)
     mean_mg, variance = bank.coming(choices.way)
