@@ -598,6 +598,7 @@ def test_what_falls_on_a_frozen_display_is_not_taken_for_a_dose(tmp_path: Path) 
     assert not tally.false_goods
 
 
+@pytest.mark.slow
 def test_a_balance_that_holds_its_display_gives_no_dose(tmp_path: Path) -> None:
     falsifier = Falsifier(tmp_path, recipes=("msg-once",))
     tally = falsifier.run(BY_NAME["hold-3"], 1)

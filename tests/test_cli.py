@@ -315,6 +315,7 @@ def test_a_skill_with_a_bug_ends_the_run_safe_with_code_3(command: Call, lab_fol
     assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.slow
 def test_a_motion_a_dose_and_the_reach_can_be_drawn(command: Call, recipe: Path, tmp_path: Path) -> None:
     page, picture, reach = tmp_path / "move.html", tmp_path / "dose.svg", tmp_path / "reach.html"
     load = ("--load", "3 g", "--powder", "glass_beads", "--gentle", "20 deg")

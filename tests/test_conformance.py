@@ -185,6 +185,7 @@ class Numb:
         setattr(self._device, name, value)
 
 
+@pytest.mark.slow
 def test_an_arm_and_a_hand_with_a_mistake_do_not_conform(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(at_the_wire, "PATIENCE_S", 3.0)
     with WiredArmBench().open() as bench, pytest.raises(AssertionError, match="ends a motion on its way"):

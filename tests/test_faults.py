@@ -267,6 +267,7 @@ def test_what_is_over_before_it_matters_does_no_harm_and_overload_is_told_while_
     assert run_with(tmp_path, "fault: balance.overload, at: 1 s").sample("a").code == "balance.overload"
 
 
+@pytest.mark.slow
 def test_a_fault_that_has_come_does_not_come_again_when_the_run_is_resumed(tmp_path: Path) -> None:
     """The rules' state is the world's, and lives in its file; the rules themselves are in the journal."""
     text = "faults: [{fault: balance.draught, at_pulse: 1, for: 1 s}, {fault: scoop.nothing, sample: b, times: 9}]"

@@ -45,6 +45,7 @@ def test_what_falls_into_a_container_after_its_result_counts(falsifier: Falsifie
     assert len(tally.false_goods) == 7  # none comes after the last
 
 
+@pytest.mark.slow
 def test_a_redone_sample_is_judged_by_its_second_container(falsifier: Falsifier) -> None:
     wrong_first = HostileWorld("wrong", "a wrong container first", faults="{fault: container.wrong, at: 0 s}")
     tally = Tally(wrong_first.name)

@@ -121,6 +121,7 @@ def test_a_load_that_was_nothing_is_believed_in_its_mortar_still_when_it_is_disc
     assert world.masses_mg["spilled"] < 1.0
 
 
+@pytest.mark.slow
 def test_the_plan_shows_beside_the_waste_what_goes_into_the_vessel_that_the_recipe_names(
     tmp_path: Path,
 ) -> None:

@@ -75,7 +75,7 @@ def recipes(draw: st.DrawFn) -> str:
 
 @given(recipe=recipes(), seed=st.integers(0, 10_000), stop_at=st.one_of(st.none(), st.integers(1, 400)))
 @settings(
-    max_examples=6,
+    max_examples=4,
     deadline=None,
     derandomize=True,
     phases=[Phase.explicit, Phase.generate],  # a run takes a second: no shrinking

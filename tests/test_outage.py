@@ -265,7 +265,7 @@ def test_a_limp_arm_and_a_changer_gone_home_are_no_harm(tmp_path: Path) -> None:
         assert good(run.sample())
 
 
-@pytest.mark.parametrize(("within", "at_tick"), [("scoop", 42), ("open_cone", 10)])
+@pytest.mark.parametrize(("within", "at_tick"), first_daily(("open_cone", 10), ("scoop", 42)))
 def test_an_arm_that_sank_with_its_cone_in_a_mortar_goes_out_of_what_it_touches_by_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, within: str, at_tick: int
 ) -> None:

@@ -85,6 +85,7 @@ def test_who_has_a_pin_signs_every_answer_with_it(
     assert noted.what == "a wrong PIN was given for Eve, to answer 'done': Is it?"
 
 
+@pytest.mark.slow
 def test_the_run_and_its_resumption_have_the_name_that_was_given(tmp_path: Path, command: Call) -> None:
     lab = make_lab(tmp_path / "lab")
     (lab / ".scuhand").mkdir()

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-from daily import first_daily
 from running import Ran, dry_run, make_lab
 
 from scuhand_bt.exit_codes import ExitCode
@@ -312,9 +311,10 @@ tree:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "left", "spilled"),
-    first_daily(("beads", 0.01, 0.001), ("msg", 0.02, 0.001)),
+    [("beads", 0.01, 0.001), ("msg", 0.02, 0.001)],
     ids=["beads", "msg, small mortar"],
 )
 def test_several_scoops_empty_a_mortar_to_its_last_per_cent(
@@ -333,7 +333,8 @@ def test_several_scoops_empty_a_mortar_to_its_last_per_cent(
     assert max(scoops) <= ran.session.cell.sources[source].powder.load_limit_mg
 
 
-@pytest.mark.parametrize("seed", first_daily(0, 9, 11))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 9, 11])
 def test_a_scoop_that_brought_less_than_expected_is_scooped_again_and_not_taken_for_a_bridge(
     tmp_path: Path, seed: int
 ) -> None:

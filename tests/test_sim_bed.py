@@ -168,7 +168,7 @@ motions = st.lists(
 )  # fmt: skip
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(motions, st.floats(10.0, 40_000.0), st.sampled_from(sorted(POWDERS)))
 def test_no_powder_is_made_or_lost_however_the_cone_goes(
     todo: list[tuple[float, ...]], fill_mg: float, name: str

@@ -125,6 +125,7 @@ def test_trials_of_files_that_are_changed_meanwhile_are_not_taken_for_theirs(set
             trial(replace(begun, changes=changes), 1)
 
 
+@pytest.mark.slow
 def test_another_study_in_one_process_is_of_the_files_of_today(setup: Setup) -> None:
     before = trial(replace(setup, files=files_hash(setup.recipe, setup.lab)), 0)
     setup.recipe.write_text(RECIPE.replace("30 mg", "31 mg"), encoding="utf-8")

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import read
+from daily import first_daily
 from running import make_lab
 from test_zones import RECIPE, Bench, motion, run_dry  # noqa: F401 - a fixture
 
@@ -41,7 +42,7 @@ def test_a_cone_is_hit_in_the_zone_that_the_pan_is_in_and_nowhere_else(
     assert sweep.meets(ConePose(np.array(apex_mm), UP, 48.0, 50.0)) == is_hit
 
 
-@pytest.mark.parametrize("are_leased", [True, False])
+@pytest.mark.parametrize("are_leased", first_daily(False, True))
 def test_a_scoop_where_the_carousel_swings_is_made_after_it_or_upsets_the_container(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, are_leased: bool
 ) -> None:

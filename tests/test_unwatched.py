@@ -101,7 +101,7 @@ def test_a_disk_that_is_full_before_the_first_entry_moves_nothing_and_says_so(
     assert told.endswith("nothing was moved")
 
 
-@pytest.mark.parametrize("where", ["2>/dev/full", "2>&-", ">/dev/full 2>&1"])
+@pytest.mark.parametrize("where", first_daily("2>/dev/full", "2>&-", ">/dev/full 2>&1"))
 def test_what_is_wrong_is_in_the_exit_code_though_nobody_can_be_told(tmp_path: Path, where: str) -> None:
     line = f"{' '.join(COMMAND)} {tmp_path / 'none.yaml'} --dry-run {where}"
     assert subprocess.run(["bash", "-c", line], cwd=REPOSITORY, capture_output=True, timeout=60).returncode == 2
@@ -147,7 +147,7 @@ def test_a_command_whose_reader_has_gone_tells_nobody_and_what_was_wrong_keeps_i
     assert done.returncode == code
 
 
-@pytest.mark.parametrize("how", ["closed", "stopped reading"])
+@pytest.mark.parametrize("how", first_daily("stopped reading", "closed"))
 def test_a_run_goes_on_to_its_end_when_its_terminal_is_gone(recipe: Path, how: str) -> None:
     ours, theirs = pty.openpty()
     with subprocess.Popen(
