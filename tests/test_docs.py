@@ -17,7 +17,7 @@ from conftest import REPOSITORY, LabFolder
 from scuhand_bt import cli
 from scuhand_bt.cli.check import line_of
 from scuhand_bt.findings import page as page_of_findings
-from scuhand_bt.kit.cases import read_test_file
+from scuhand_bt.kit.case_files import read_test_file
 from scuhand_bt.lab import read_lab
 from scuhand_bt.problems import Problems
 from scuhand_bt.recipe.recipe import load_recipe

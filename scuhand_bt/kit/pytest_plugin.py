@@ -55,7 +55,8 @@ def run_workflow(rehearser: "Rehearser") -> "Callable[..., Rehearsed]":
 
     Unused substitutions are an error, as in a test file.
     """
-    from scuhand_bt.kit.cases import case_of, run_case
+    from scuhand_bt.kit.case_files import case_of
+    from scuhand_bt.kit.cases import run_case
 
     def run(
         workflow: str,

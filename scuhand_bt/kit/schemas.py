@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing import CONTROLLERS
-from scuhand_bt.kit.cases import SUCCESS, Expectation, Substituted
+from scuhand_bt.kit.case_files import SUCCESS, Expectation, Substituted
 from scuhand_bt.lab import TEST_SUFFIX, Lab
 from scuhand_bt.recipe.compose import COMPOSE, ComposeText
 from scuhand_bt.recipe.leftover import POLICIES, TO

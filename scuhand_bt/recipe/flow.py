@@ -11,19 +11,19 @@ powder names the source of that powder.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 from scuhand_bt.events.doses import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.problems import Mark, Problems
+from scuhand_bt.recipe.known import Names, Ranges, is_known, known
 from scuhand_bt.skill import Condition, SkillFailed
 from scuhand_bt.specs import Container, Keeping, Powder, Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
-from scuhand_bt.tree.expressions import ANY_NUMBER, Range, Reference
-from scuhand_bt.tree.grammar import PARAMETERS
-from scuhand_bt.tree.library import Library, Percent, literal, resolve_percent
-from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode, Value, references_of
+from scuhand_bt.tree.expressions import ANY_NUMBER, Range
+from scuhand_bt.tree.library import Library, Percent, resolve_percent
+from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode
 from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}
@@ -96,67 +96,6 @@ class _Reached:
         )
 
 
-Ranges = dict[tuple[str, ...], Range]
-"""Of a value that is known only when it runs: between what its attributes are, by their names; () for itself."""
-
-
-@dataclass(frozen=True)
-class _Names:
-    """The values that a workflow's names are known to have, and where those were written that it was given."""
-
-    scope: Scope
-    marks: Mapping[str, Mark]
-    inputs: Mapping[str, str]
-    """The sample's inputs that the names stand for."""
-    ranges: dict[str, Ranges] = field(default_factory=dict)
-    """Of the names that have no known value."""
-
-    def range_of(self, reference: Reference) -> Range:
-        """Between what a value is."""
-        if self.scope.has(reference.name):
-            value = self.scope.read(reference)
-            return (value, value) if isinstance(value, int | float) else ANY_NUMBER
-        return self.ranges.get(reference.name, {}).get(reference.attributes, ANY_NUMBER)
-
-    def ranges_of(self, value: Value) -> Ranges:
-        """The same of all that is known of it."""
-        if not isinstance(value, Reference):
-            return {(): value.range(self.range_of)}
-        if self.scope.has(value.name):
-            return {(): self.range_of(value)}
-        before = len(value.attributes)
-        known_of = self.ranges.get(value.name, {}).items()
-        return {keys[before:]: found for keys, found in known_of if keys[:before] == value.attributes}
-
-    def keep(self, name: str, ranges: Ranges) -> None:
-        """A result; it may be that of another way before, too."""
-        had = self.ranges.get(name)
-        self.ranges[name] = (
-            ranges
-            if had is None
-            else {
-                keys: (min(low, had[keys][0]), max(high, had[keys][1]))
-                for keys, (low, high) in ranges.items()
-                if keys in had
-            }
-        )
-
-    def mark_in(self, node: Call, key: str) -> Mark:
-        """Where a value that is given to a call was written; the call itself, where it is given none."""
-        argument = node.arguments.get(key)
-        if argument is None:
-            return node.mark
-        if isinstance(argument, Reference) and not argument.attributes:
-            return self.marks.get(argument.name, argument.mark)
-        return argument.mark
-
-    def input_in(self, node: Call, key: str) -> str | None:
-        """The sample's input that a call is given as it is."""
-        argument = node.arguments.get(key)
-        is_whole = isinstance(argument, Reference) and not argument.attributes
-        return self.inputs.get(argument.name) if isinstance(argument, Reference) and is_whole else None
-
-
 def sources_of(inputs: Mapping[str, Any]) -> list[Source]:
     """The sources among the inputs of a workflow, each once."""
     return list({value.name: value for _, value in each_of(inputs) if isinstance(value, Source)}.values())
@@ -173,33 +112,10 @@ def flow_of(workflow: str, inputs: Mapping[str, Any], library: Library, problems
     """What a checked workflow doses with these inputs; notes what of it must be known before the run, and is not."""
     follower = _Follower(library, {source.name: source for source in sources_of(inputs)}, problems)
     begin = _Reached(frozenset({""}), frozenset(follower.sources if len(follower.sources) == 1 else {""}))
-    names = _Names(Scope(dict(inputs)), {}, {key: key for key in inputs})
+    names = Names(Scope(dict(inputs)), {}, {key: key for key in inputs})
     reached = follower.of(library.workflows[workflow].tree, names, begin, None)
     follower.refuse_mere_scoops()
     return Flow(tuple(follower.pours), reached.last, reached.leaves)
-
-
-def known(
-    arguments: Mapping[str, Argument], scope: Scope, library: Library, call: Call | None = None
-) -> dict[str, Any]:
-    """The arguments whose values are known before the run: literals, and what stems from the workflow's inputs.
-
-    They are those of a call of a skill or workflow; of another node, without one. SkillFailed for what cannot be
-    worked out.
-    """
-    wires = PARAMETERS if call is None else library.wires(call)
-    values: dict[str, Any] = {}
-    for key, argument in arguments.items():
-        if isinstance(argument, Node):
-            values[key] = literal(key, wires[key], argument, library)
-        elif is_known(argument, scope):
-            values[key] = scope.read(argument)
-    return resolve_percent(values)
-
-
-def is_known(argument: Argument, scope: Scope) -> bool:
-    """Whether a value can be told before the run."""
-    return all(scope.has(reference.name) for reference in references_of(argument))
 
 
 class _Follower:
@@ -215,7 +131,7 @@ class _Follower:
     def is_mixed(self) -> bool:
         return len(self.sources) > 1
 
-    def of(self, node: TreeNode, names: _Names, reached: _Reached, at: Call | None) -> _Reached:
+    def of(self, node: TreeNode, names: Names, reached: _Reached, at: Call | None) -> _Reached:
         """What may hold once a node has succeeded; `at` is the call of the sample's own workflow that it is below."""
         if isinstance(node, Call):
             return self._of_call(node, names, reached, at or node)
@@ -232,7 +148,7 @@ class _Follower:
             reached = self.of(child, names, reached, at)
         return reached
 
-    def _of_fallback(self, node: Branch, names: _Names, reached: _Reached, at: Call | None) -> _Reached:
+    def _of_fallback(self, node: Branch, names: Names, reached: _Reached, at: Call | None) -> _Reached:
         """Any of its children may end it, after those before had failed at any of their steps."""
         ends: list[_Reached] = []
         lots: list[set[str | None]] = []
@@ -248,7 +164,7 @@ class _Follower:
             first |= other
         return first
 
-    def _of_for_each(self, node: Decorator, names: _Names, reached: _Reached, at: Call | None) -> _Reached:
+    def _of_for_each(self, node: Decorator, names: Names, reached: _Reached, at: Call | None) -> _Reached:
         """Each round in turn, where the lists can be told; else any number of rounds, with any items."""
         lists = self._known(node.arguments, names)
         if lists.keys() != node.arguments.keys():
@@ -263,7 +179,7 @@ class _Follower:
             reached = self.of(node.child, replace(names, scope=within), reached, at)
         return reached
 
-    def _of_choice(self, node: Choice, names: _Names, reached: _Reached, at: Call | None) -> _Reached:
+    def _of_choice(self, node: Choice, names: Names, reached: _Reached, at: Call | None) -> _Reached:
         """The way that is chosen, where that can be told; else any of them, or none."""
         if is_known(node.argument, names.scope):
             try:
@@ -293,7 +209,7 @@ class _Follower:
             what = f"which of {which} the sheet has touched after this '{node.kind}' is known only when it runs"
             self._problems.add(node.mark, what, "sources of one powder and lot, or a sequence", code="unknown-sheet")
 
-    def _known(self, arguments: Mapping[str, Argument], names: _Names, call: Call | None = None) -> dict[str, Any]:
+    def _known(self, arguments: Mapping[str, Argument], names: Names, call: Call | None = None) -> dict[str, Any]:
         """The arguments that are known before the run; notes those that come to nothing."""
         found: dict[str, Any] = {}
         for key, argument in arguments.items():
@@ -303,7 +219,7 @@ class _Follower:
                 self._problems.add(argument.mark, failure.detail, code="bad-value")
         return resolve_percent(found)
 
-    def _of_call(self, node: Call, names: _Names, reached: _Reached, at: Call) -> _Reached:
+    def _of_call(self, node: Call, names: Names, reached: _Reached, at: Call) -> _Reached:
         library = self._library
         given = self._known(node.arguments, names, node)
         reached = self._named(node, given, reached)
@@ -321,7 +237,7 @@ class _Follower:
         inner = Scope(bound_inputs(workflow, given, library, node.arguments.keys() - given.keys()))
         marks = {key: names.mark_in(node, key) for key in workflow.inputs}
         inputs = {key: stems for key in workflow.inputs if (stems := names.input_in(node, key)) is not None}
-        within = _Names(inner, marks, inputs, ranges)
+        within = Names(inner, marks, inputs, ranges)
         reached = self.of(workflow.tree, within, reached, at)
         if node.result is not None and workflow.result is not None:
             names.keep(node.result, within.ranges_of(workflow.result))
@@ -360,7 +276,7 @@ class _Follower:
             self._problems.add(node.argument_marks[key], what, remedy, code="unknown-demand")
         return None
 
-    def _of_skill(self, node: Call, names: _Names, given: Mapping[str, Any], reached: _Reached, at: Call) -> _Reached:
+    def _of_skill(self, node: Call, names: Names, given: Mapping[str, Any], reached: _Reached, at: Call) -> _Reached:
         skill = self._library.skills[node.name]
         if Code.SOURCE_EMPTY in skill.raises:
             self._scoops.update({source: at for source in reached.sources if source})
@@ -416,7 +332,7 @@ class _Follower:
             return frozenset(get_args(Keeping))
         return frozenset({given.get(KEEPING, field.default)})
 
-    def _range(self, node: Call, key: str, known_value: float | None, names: _Names) -> Range:
+    def _range(self, node: Call, key: str, known_value: float | None, names: Names) -> Range:
         """Between what a number that a call is given is."""
         if known_value is not None:
             return known_value, known_value

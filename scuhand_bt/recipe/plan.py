@@ -8,7 +8,7 @@ from typing import Any
 
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
-from scuhand_bt.recipe.flow import is_known, known
+from scuhand_bt.recipe.known import is_known, known
 from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.recipe.sample import Demand, Sample, demand_of, discarded_mg, needed_mg

@@ -1,0 +1,96 @@
+"""What of a workflow's values is known before the run, and between what the others are."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from scuhand_bt.problems import Mark
+from scuhand_bt.tree.build import Scope
+from scuhand_bt.tree.expressions import ANY_NUMBER, Range, Reference
+from scuhand_bt.tree.grammar import PARAMETERS
+from scuhand_bt.tree.library import Library, literal, resolve_percent
+from scuhand_bt.tree.workflow import Argument, Call, Value, references_of
+from scuhand_bt.yaml_source import Node
+
+Ranges = dict[tuple[str, ...], Range]
+"""Of a value that is known only when it runs: between what its attributes are, by their names; () for itself."""
+
+
+@dataclass(frozen=True)
+class Names:
+    """The values that a workflow's names are known to have, and where those were written that it was given."""
+
+    scope: Scope
+    marks: Mapping[str, Mark]
+    inputs: Mapping[str, str]
+    """The sample's inputs that the names stand for."""
+    ranges: dict[str, Ranges] = field(default_factory=dict)
+    """Of the names that have no known value."""
+
+    def range_of(self, reference: Reference) -> Range:
+        """Between what a value is."""
+        if self.scope.has(reference.name):
+            value = self.scope.read(reference)
+            return (value, value) if isinstance(value, int | float) else ANY_NUMBER
+        return self.ranges.get(reference.name, {}).get(reference.attributes, ANY_NUMBER)
+
+    def ranges_of(self, value: Value) -> Ranges:
+        """The same of all that is known of it."""
+        if not isinstance(value, Reference):
+            return {(): value.range(self.range_of)}
+        if self.scope.has(value.name):
+            return {(): self.range_of(value)}
+        before = len(value.attributes)
+        known_of = self.ranges.get(value.name, {}).items()
+        return {keys[before:]: found for keys, found in known_of if keys[:before] == value.attributes}
+
+    def keep(self, name: str, ranges: Ranges) -> None:
+        """A result; it may be that of another way before, too."""
+        had = self.ranges.get(name)
+        self.ranges[name] = (
+            ranges
+            if had is None
+            else {
+                keys: (min(low, had[keys][0]), max(high, had[keys][1]))
+                for keys, (low, high) in ranges.items()
+                if keys in had
+            }
+        )
+
+    def mark_in(self, node: Call, key: str) -> Mark:
+        """Where a value that is given to a call was written; the call itself, where it is given none."""
+        argument = node.arguments.get(key)
+        if argument is None:
+            return node.mark
+        if isinstance(argument, Reference) and not argument.attributes:
+            return self.marks.get(argument.name, argument.mark)
+        return argument.mark
+
+    def input_in(self, node: Call, key: str) -> str | None:
+        """The sample's input that a call is given as it is."""
+        argument = node.arguments.get(key)
+        is_whole = isinstance(argument, Reference) and not argument.attributes
+        return self.inputs.get(argument.name) if isinstance(argument, Reference) and is_whole else None
+
+
+def known(
+    arguments: Mapping[str, Argument], scope: Scope, library: Library, call: Call | None = None
+) -> dict[str, Any]:
+    """The arguments whose values are known before the run: literals, and what stems from the workflow's inputs.
+
+    They are those of a call of a skill or workflow; of another node, without one. SkillFailed for what cannot be
+    worked out.
+    """
+    wires = PARAMETERS if call is None else library.wires(call)
+    values: dict[str, Any] = {}
+    for key, argument in arguments.items():
+        if isinstance(argument, Node):
+            values[key] = literal(key, wires[key], argument, library)
+        elif is_known(argument, scope):
+            values[key] = scope.read(argument)
+    return resolve_percent(values)
+
+
+def is_known(argument: Argument, scope: Scope) -> bool:
+    """Whether a value can be told before the run."""
+    return all(scope.has(reference.name) for reference in references_of(argument))
