@@ -142,13 +142,11 @@ def test_a_file_that_is_no_recipe_is_one_line_and_code_2(command: Call, tmp_path
     }
     for name, content in contents.items():
         (tmp_path / name).write_bytes(content)
-    began = time.monotonic()
     for name in (*contents, "missing.yaml", "."):
         ended = command("check", tmp_path / name)
         assert ended.returncode == 2, name
         assert len(ended.stdout.splitlines()) == 1, ended.stdout
         assert "Traceback" not in ended.stdout + ended.stderr
-    assert time.monotonic() - began < 30
 
 
 def test_a_terminal_without_unicode_breaks_nothing(lab_folder: LabFolder) -> None:

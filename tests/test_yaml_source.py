@@ -77,9 +77,9 @@ def test_what_is_no_plain_yaml_is_said_with_its_place(text: str, said: str) -> N
     ids=["lists", "mappings", "dashes", "aliases in depth", "aliases in number", "a long key"],
 )
 def test_bombs_are_refused_at_once(text: str) -> None:
-    began = time.monotonic()
+    began_s = time.process_time()
     said = said_of(text)
-    assert time.monotonic() - began < 1.0
+    assert time.process_time() - began_s < 1.0
     assert len(said) < 200
 
 
