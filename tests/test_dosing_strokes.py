@@ -143,6 +143,22 @@ def test_strokes_one_after_another_bring_what_is_expected_of_the_layers(
     assert all(least < ratio < most for ratio in ratios), ratios
 
 
+@pytest.mark.parametrize("name", first_daily("glass_beads", "monosodium_glutamate"))
+@pytest.mark.parametrize(("bore_mm", "depth_mm"), [(110.0, 50.0), (120.0, 40.0), (95.0, 40.0), (110.0, 30.0)])
+def test_in_wide_and_deep_bowls_the_swing_goes_on_until_what_it_took_stays_in(
+    bore_mm: float, depth_mm: float, name: str
+) -> None:
+    """With the widest rim the handle stopped it halfway, and of 3.8 g that were expected 0.1 to 3.1 came."""
+    bowl = Mortar(
+        name="bowl", bore_mm=bore_mm, depth_mm=depth_mm, height_mm=depth_mm + 12, outer_diameter_mm=bore_mm + 20
+    )
+    bed = Bed(bowl, 10_000.0, POWDERS[name])
+    stroke = chosen(bed, SHEET_MM, 4000.0)
+    in_cone_mg, lost_mg = through(stroke, HeightField(bowl, POWDERS[name]), bed.mass_mg, bowl)
+    assert in_cone_mg == pytest.approx(expected_mg(stroke, bed, SHEET_MM), rel=0.12)
+    assert lost_mg < 10.0
+
+
 def test_the_less_there_is_the_more_of_it_lies_at_the_sides_where_strokes_leave_it() -> None:
     """Taken to lie as thick everywhere, what was left brought 1.04 of what was expected at first and 0.75 at last."""
     powder = POWDERS["monosodium_glutamate"]

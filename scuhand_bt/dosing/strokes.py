@@ -49,8 +49,10 @@ from itertools import chain, count
 
 import numpy as np
 
-from scuhand_bt.dosing.ladle import LIP_GAP_MM, NoStrokeError, Stroke
-from scuhand_bt.dosing.swing_plane import Floats, least_attack_deg
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
+from scuhand_bt.dosing.swing import stroke_path
+from scuhand_bt.dosing.swing_plane import STEP_MM, Floats, least_attack_deg
+from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.specs import Mortar, Powder
 
@@ -203,9 +205,36 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
     """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be.
 
     NoStrokeError where grains are so coarse that all that may be taken is less than one of them is thick, and where the
-    bowl is so shallow, or so small for the sheet, that the lip leaves it before the sheet is level, whatever is taken.
+    bowl is so shallow, or so small for the sheet, that the lip leaves it before the sheet is level, whatever is taken;
+    and where the vessel, the sheet or the handle allow none with any rim.
     """
-    deepest = across(bed.mortar, bed.radius_mm, sheet_radius_mm)
+    ladle, why = Ladle(sheet_radius_mm), list[NoStrokeError]()
+    widest_mm = _on_grid(WIDEST_SHARE * min(bed.mortar.bore_mm, 2 * sheet_radius_mm), RIM_GRID_MM)
+    for open_mm in np.arange(widest_mm, ladle.rim_limits_mm[0] + CLOSING_MM, -RIM_GRID_MM).tolist():
+        stroke = _deep_enough(bed, sheet_radius_mm, wanted_mg, open_mm)
+        try:
+            if _keeps_what_it_takes(stroke, Vessel.of(bed.mortar), ladle):
+                return stroke
+        except NoStrokeError as error:
+            why.append(error)
+    raise why[0] if why else _never_level(bed.mortar, sheet_radius_mm)
+
+
+def _keeps_what_it_takes(stroke: Stroke, vessel: Vessel, ladle: Ladle) -> bool:
+    """Whether the swing goes on until the sheet is level, or the lip is where it is to leave the wall.
+
+    Where the handle stops a wide rim before, all slides out again. NoStrokeError where there is no swing.
+    """
+    path = stroke_path(vessel, replace(stroke, heading_deg=0.0), ladle)
+    lip_mm, apex_mm = path.lip_mm[path.on_wall][-1], path.apex_mm[path.on_wall][-1]
+    out_mm, _, steep = vessel.wall(np.array([min(stroke.end_mm, vessel.to_edge_mm)]))
+    is_there = lip_mm[0] >= out_mm[0] - stroke.gap_mm * math.sin(steep[0]) - 2 * STEP_MM
+    return bool(is_there or lip_mm[2] >= apex_mm[2])
+
+
+def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: float) -> Stroke:
+    """As `chosen`, with a rim."""
+    deepest = across(bed.mortar, bed.radius_mm, open_mm)
     swept_mm = SWEPT_SHARE * bed.mortar.bowl_radius_mm * math.asin(bed.mortar.bore_mm / 2 / bed.mortar.bowl_radius_mm)
     whole = replace(deepest, begin_mm=min(deepest.begin_mm, -_on_grid(swept_mm, RIM_GRID_MM)))
     level_mm = bed.mortar.bowl_radius_mm * math.radians(_attack_deg(deepest, bed.mortar, sheet_radius_mm))
@@ -246,7 +275,7 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
 
 
 def _never_level(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
-    attack_deg = _attack_deg(across(mortar, 0.0, sheet_radius_mm), mortar, sheet_radius_mm)
+    attack_deg = _attack_deg(across(mortar, 0.0, mortar.bore_mm), mortar, sheet_radius_mm)
     edge_deg = math.degrees(math.asin(mortar.bore_mm / 2 / mortar.bowl_radius_mm))
     return NoStrokeError(
         f"a sheet of {sheet_radius_mm:g} mm meets the bowl's wall at {attack_deg:.0f} deg, which is {edge_deg:.0f} deg "
@@ -254,12 +283,10 @@ def _never_level(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
     )
 
 
-def across(mortar: Mortar, bed_radius_mm: float, sheet_radius_mm: float) -> Stroke:
-    """The stroke that takes all that lies no farther than that from the middle, with the widest rim, to the edge."""
-    widest_mm = WIDEST_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
+def across(mortar: Mortar, bed_radius_mm: float, open_mm: float) -> Stroke:
+    """The stroke that takes all that lies no farther than that from the middle, with such a rim, to the edge."""
     behind_mm = mortar.bowl_radius_mm * math.asin(bed_radius_mm / mortar.bowl_radius_mm) + BEHIND_MM
-    rims_mm = (_on_grid(widest_mm, RIM_GRID_MM), _on_grid(widest_mm - CLOSING_MM, RIM_GRID_MM))
-    return Stroke(*rims_mm, begin_mm=-_on_grid(behind_mm, RIM_GRID_MM))
+    return Stroke(open_mm, open_mm - CLOSING_MM, begin_mm=-_on_grid(behind_mm, RIM_GRID_MM))
 
 
 def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
