@@ -444,7 +444,9 @@ def test_a_file_that_varies_nothing_sensible_is_told_where(setup: Setup, tmp_pat
 
 def test_a_range_that_is_none_is_told_by_the_name_of_its_place(setup: Setup, tmp_path: Path) -> None:
     path = tmp_path / "vary.yaml"
-    path.write_text("vary: {recipe.samples.0.mass: {from: 60 mg, to: 20 mg}, cell.balance.period: 75}", encoding="utf-8")
+    path.write_text(
+        "vary: {recipe.samples.0.mass: {from: 60 mg, to: 20 mg}, cell.balance.period: 75}", encoding="utf-8"
+    )
     with pytest.raises(SourceError) as wrong:
         read_vary(path, setup.recipe, setup.lab)
     told = [problem.message for problem in wrong.value.problems]
