@@ -4,12 +4,13 @@ What is wrong in a file breaks only what uses it: the rest is given.
 """
 
 import hashlib
+import itertools
 import math
 from collections.abc import Collection
 from pathlib import Path
 from typing import TypeVar
 
-from scuhand_bt.bench_spec import Station
+from scuhand_bt.bench_spec import Obstacle, Station
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_sections import own_options
 from scuhand_bt.problems import Broken, Mark, Problems, SourceError, shorten
@@ -156,6 +157,7 @@ def load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
             cell=none, stations=stations, **{key: getattr(made, key) for key, made in kept.items() if made is not None}
         )
     _find_meshes(cell, root, path.parent, problems)
+    _check_zones(cell, root, problems)
     _check_ports(cell, root, problems)
     return cell
 
@@ -163,6 +165,36 @@ def load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
 def _part(root: Entries, *keys: str) -> Entries:
     there = [key for key in keys if key in root.keys]
     return Entries(root.mark, {key: root.keys[key] for key in there}, {key: root.values[key] for key in there})
+
+
+TOUCHING_M = 1e-4
+"""Zones side by side may overlap by so much: figures are rounded."""
+
+
+def _check_zones(cell: CellSpec, root: Entries, problems: Problems) -> None:
+    """No two are one place: each is leased by itself, and two would move there at once."""
+    nodes = root.get("zones")
+    for (_, first), (number, second) in itertools.combinations(enumerate(cell.zones), 2):
+        mark = nodes.items[number].mark if isinstance(nodes, Items) else root.mark
+        if second.name == first.name:
+            problems.add(
+                mark, f"there are two zones '{second.name}'", "each has a name of its own", code="zones-overlap"
+            )
+        elif None is first.mesh is second.mesh and _overlap_m(first, second) > TOUCHING_M:
+            what = f"the zones '{first.name}' and '{second.name}' overlap: two may move there at once"
+            problems.add(mark, what, "set them apart, or make them one", code="zones-overlap")
+
+
+def _overlap_m(first: Obstacle, second: Obstacle) -> float:
+    """By how much two are in each other [m]; less than 0 where they are apart."""
+    import coal  # a quarter of a second, for what most cells have one of
+
+    from scuhand_bt.motion.cell_solids import solids_of
+
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    one, other = (next(iter(solids_of([zone]))) for zone in (first, second))
+    places = [coal.Transform3s(solid.placement().rotation, solid.placement().translation) for solid in (one, other)]
+    return -float(coal.distance(one.shape(), places[0], other.shape(), places[1], request, result))
 
 
 MESHES = (".stl", ".obj")

@@ -277,6 +277,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
     },
     CELLS: {
         "missing-station": Finding("The cell has no balance, no waste or no park.", "Add the station."),
+        "zones-overlap": Finding(
+            "Two zones of the cell have one name, or overlap: each is leased by itself; two may move there at once.",
+            "Set them apart, or make them one.",
+        ),
         "port-taken": Finding("Two devices are on one port.", "Give each its own."),
         "strained": _warning(
             "At a place the arm holds up more than half of a servo's stall torque, by the URDF's masses.",

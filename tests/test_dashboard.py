@@ -194,9 +194,9 @@ def test_how_long_a_person_lets_a_run_stand_still_does_not_make_the_rest_of_it_l
 def test_of_a_question_that_waits_overnight_two_minutes_count(planned: Journal) -> None:
     page = Page(Follower(planned.path))
     told_at(planned, 10.0, Asked(question="Is it?", choices=["done", "stop"]))
-    told_at(planned, 60.0, JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+    told_at(planned, 60.0, JobStarted(name="change", sample=None, attempt=1, workflow="w"))
     assert page.news(is_held=True)["left_s"] == 340.0, "whoever is there answers, and time goes by"
-    told_at(planned, 28_000.0, JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+    told_at(planned, 28_000.0, JobStarted(name="change", sample=None, attempt=1, workflow="w"))
     assert page.news(is_held=True)["left_s"] == 270.0, "and none after that"
     told_at(planned, 28_000.0, Paused())
     told_at(planned, 28_500.0, Answered(question="Is it?", answer="done"))
@@ -204,6 +204,21 @@ def test_of_a_question_that_waits_overnight_two_minutes_count(planned: Journal) 
     assert page.news(is_held=True)["left_s"] == 270.0, "what a question and a pause share counts once"
     told_at(planned, 28_830.0, judged("a"))
     assert page.news(is_held=True)["left_s"] == 450.0, "the first took 150 s"
+
+
+def test_a_sample_that_takes_long_takes_nothing_from_what_comes_after_it(planned: Journal) -> None:
+    page = Page(Follower(planned.path))
+    told_at(planned, 0.0, JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+    told_at(planned, 80.0, Continued())
+    assert page.news(is_held=True)["left_s"] == 320.0
+    told_at(planned, 390.0, Continued())
+    told = page.news(is_held=True)
+    assert told["left_s"] == 300.0, "three of 100 s are to come"
+    assert told["pace"] == {"planned_s": 100.0, "at_s": 390.0, "stretch": 1.0}, "and as much is told of each"
+    told_at(planned, 400.0, judged("a", "over"))
+    told_at(planned, 400.0, JobStarted(name="a", sample="a", attempt=2, workflow="w"))
+    told_at(planned, 600.0, Continued())
+    assert page.news(is_held=True)["left_s"] == 4.0 * 300.0, "nor does it when it is done again"
 
 
 def test_what_a_run_did_not_come_to_is_to_come_again_once_it_is_resumed(planned: Journal) -> None:
@@ -233,7 +248,7 @@ def test_a_sample_that_stopped_the_run_and_goes_on_is_under_way(planned: Journal
     planned.now_s = lambda: 310.0
     planned.job_resumed(job, SoFar())
     planned.flush()
-    assert page.news(is_held=True)["left_s"] == 90.0, "of it nothing is known but the plan"
+    assert page.news(is_held=True)["left_s"] == 300.0, "of it nothing is known but that it is late"
     told_at(planned, 320.0, judged("a"))
     assert page.news(is_held=True)["left_s"] == pytest.approx(320.0 * 3)
 

@@ -240,3 +240,29 @@ def test_a_lab_given_by_a_relative_path_has_the_right_lines(
     lab_folder.write("skills/sieve.py", "x = 1\n1 / 0\n")
     monkeypatch.chdir(lab_folder.folder.parent)
     assert LabFolder(Path("lab")).problems()[0].startswith("skills/sieve.py:2:1: ")
+
+
+PAN = "  - {name: pan, "
+
+
+@pytest.mark.parametrize(
+    ("zone", "said"),
+    [
+        ("name: front, box: [90 mm, 90 mm, 90 mm], at: [345 mm, 144 mm, 159 mm]", "'front' and 'pan' overlap"),
+        ("name: front, box: [90 mm, 90 mm, 90 mm], at: [345 mm, 145 mm, 159 mm]", ""),
+        ("name: front, box: [90 mm, 90 mm, 90 mm], at: [345 mm, 0 mm, 15 mm]", ""),
+        ("name: front, cylinder: [90 mm, 90 mm], at: [484 mm, 134 mm, 159 mm]", ""),
+        (
+            "name: front, box: [90 mm, 90 mm, 90 mm], at: [345 mm, 145 mm, 159 mm], yaw: 45 deg",
+            "'front' and 'pan' overlap",
+        ),
+        ("name: front, cylinder: [90 mm, 90 mm], at: [480 mm, 130 mm, 159 mm]", "'front' and 'pan' overlap"),
+        ("name: front, box: [9 mm, 9 mm, 9 mm], at: [345 mm, 0 mm, 159 mm]", "'front' and 'pan' overlap"),
+        ("name: pan, box: [9 mm, 9 mm, 9 mm], at: [0 mm, 500 mm, 159 mm]", "there are two zones 'pan'"),
+    ],
+)
+def test_zones_that_are_in_part_one_place_are_refused(lab_folder: LabFolder, zone: str, said: str) -> None:
+    """The shipped one goes from y -100 to 100 mm, x 240 to 450 mm, z 60 to 258 mm."""
+    lab_folder.replace("robot/cell.yaml", PAN, f"  - {{{zone}, frame: balance}}\n{PAN}")
+    told = lab_folder.problems()
+    assert [problem.startswith("robot/cell.yaml:21:5: ") and said in problem for problem in told] == [True] * bool(said)

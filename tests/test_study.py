@@ -444,11 +444,25 @@ def test_a_file_that_varies_nothing_sensible_is_told_where(setup: Setup, tmp_pat
 
 def test_a_range_that_is_none_is_told_by_the_name_of_its_place(setup: Setup, tmp_path: Path) -> None:
     path = tmp_path / "vary.yaml"
-    path.write_text("vary: {recipe.samples.0.mass: {from: 60 mg, to: 20 mg}, cell.balance.lag: 75}", encoding="utf-8")
+    path.write_text(
+        "vary: {recipe.samples.0.mass: {from: 60 mg, to: 20 mg}, cell.balance.period: 75}", encoding="utf-8"
+    )
     with pytest.raises(SourceError) as wrong:
         read_vary(path, setup.recipe, setup.lab)
     told = [problem.message for problem in wrong.value.problems]
-    assert [message.split(":")[0] for message in told] == ["'recipe.samples.0.mass'", "'cell.balance.lag'"], told
+    assert [message.split(":")[0] for message in told] == ["'recipe.samples.0.mass'", "'cell.balance.period'"], told
+
+
+def test_places_that_there_are_not_are_told_together_with_ranges_that_are_none(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "vary.yaml"
+    path.write_text(
+        "{design: sobl, vary: {nowhere.x: [1], recipe.samples.0.mass: {from: 60 mg, to: 20 mg}, recipe.y: [1]}}",
+        encoding="utf-8",
+    )
+    with pytest.raises(SourceError) as wrong:
+        read_vary(path, setup.recipe, setup.lab)
+    told = sorted(problem.message.split(":")[0] for problem in wrong.value.problems)
+    assert told == ["'design'", "'nowhere.x'", "'recipe.samples.0.mass'", "'recipe.y'"]
 
 
 def test_a_value_that_may_not_be_is_told_before_the_first_dry_run(

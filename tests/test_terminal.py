@@ -133,7 +133,10 @@ def test_time_left_is_the_plan_stretched_by_what_is_done_and_a_pause_does_not_co
     clock.now_s = 3600.0 + 2.0 * first_s
     view.sample_ended(ran.sample("a"))
     assert view.shown().left_s == pytest.approx(2.0 * (plan_s - first_s)), "it took twice as long as planned"
+    view.attempt_started(session.plan.jobs[0], 2)
     clock.now_s += 20.0
+    assert view.shown().left_s == pytest.approx(2.0 * (plan_s - first_s)), "done again it takes nothing from the rest"
+    view.attempt_started(session.plan.jobs[1], 1)
     view.sample_ended(ran.sample("a"))  # as its container has gone
     view.sample_ended(ran.sample("b").model_copy(update={"verdict": "not run"}))
     assert view.shown().left_s == pytest.approx(2.0 * (plan_s - first_s) - 20.0)

@@ -20,24 +20,34 @@ class Pace:
         return self.at_s + self.stretch * (done_s - self.planned_s)
 
 
-def pace(planned_s: Mapping[str, float], told_s: Mapping[str, tuple[float, float]], stood_s: float) -> Pace:
+def pace(
+    planned_s: Mapping[str, float],
+    told_s: Mapping[str, tuple[float, float]],
+    stood_s: float,
+    under_way: str | None,
+    now_s: float,
+) -> Pace:
     """By the samples that are done, of which `told_s` says when, and how long the run had stood still by then.
 
-    The plan's own until one is. How long a person has let a run stand still, or wait, tells nothing of what is to come.
+    The plan's own until one is. How long a person has let a run stand still, or wait, tells nothing of what is to come;
+    and the sample that is `under_way`, where it should be done by now, takes nothing from what comes after it.
     """
     last = max((name for name in told_s if name in planned_s), key=planned_s.__getitem__, default=None)
-    if last is None or not planned_s[last]:
-        return Pace(0.0, stood_s, 1.0)
-    at_s, stood_before_s = told_s[last]
-    stretch = (at_s - stood_before_s) / planned_s[last]
-    return Pace(planned_s[last], at_s + stood_s - stood_before_s, stretch)
+    keeps = Pace(0.0, stood_s, 1.0)
+    if last is not None and planned_s[last]:
+        at_s, stood_before_s = told_s[last]
+        stretch = (at_s - stood_before_s) / planned_s[last]
+        keeps = Pace(planned_s[last], at_s + stood_s - stood_before_s, stretch)
+    done_s = planned_s.get(under_way or "", 0.0)
+    return Pace(done_s, now_s, keeps.stretch) if done_s and now_s > keeps.ends_s(done_s) else keeps
 
 
 def pace_of(now: Follower, run: RunBegun) -> Pace:
     """That of a run that is followed."""
     planned_s = {one.id: one.done_s or 0.0 for one in run.samples or ()}
     done = {name: now.told_s[name] for name, one in now.samples.items() if one.was_tried}
-    return pace(planned_s, done, now.standing.until(now.time_s))
+    under_way = now.job.name if now.job is not None else None
+    return pace(planned_s, done, now.standing.until(now.time_s), under_way, now.time_s)
 
 
 def time_left_s(now: Follower, run: RunBegun) -> float | None:

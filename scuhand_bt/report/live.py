@@ -185,7 +185,9 @@ class LiveView(BatchObserver):
     def _time_left_s(self) -> float:
         """Of the whole plan; while the run stands still none of it goes by."""
         now_s = self._cell.clock.now_s
-        keeps = pace(self._plan.done_s, dict(self._told_s), self._standing.until(now_s))  # a copy: the run goes on
+        under_way = self._job[0].name if self._job is not None else None
+        told_s = dict(self._told_s)  # a copy: the run goes on
+        keeps = pace(self._plan.done_s, told_s, self._standing.until(now_s), under_way, now_s)
         return max(0.0, keeps.ends_s(self._plan.duration_s) - now_s)
 
 

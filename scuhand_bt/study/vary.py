@@ -149,7 +149,7 @@ def read_vary(path: Path, recipe: Path, lab: Path) -> Vary:
     if vary is not None and vary.design == "grid" and (many := vary.points) > MOST_DRAWS:
         problems.add(root.mark, f"a grid of {many} points", f"at most {MOST_DRAWS}: fewer `draws`, or another design")
     places = root.get("vary") if isinstance(root, Entries) else None
-    for place, mark in places.keys.items() if vary is not None and isinstance(places, Entries) else ():
+    for place, mark in places.keys.items() if isinstance(places, Entries) else ():
         try:
             with_value(file_of(place, recipe, lab).read_text(encoding="utf-8"), place, "")
         except SourceError as error:
