@@ -79,6 +79,8 @@ class DoseRun:
 BARREN_S = 60.0
 """Open for so long without a gain: nothing comes, whatever the controller hopes for. A fresh load primes within 10 s,
 and an arch stands for 40 s at the most before it is shaken."""
+BARREN_READINGS = 60
+"""At least so many readings long, too: each try is over when a few of them have shown nothing."""
 GAIN_MG, AVERAGED = 1.0, 10
 """A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
 WATCHES = 3
@@ -160,7 +162,7 @@ def run_dose(
     last = reference.before
     watched: list[tuple[Gross, Gross]] = []
     kept = _Kept()
-    flow = _Flow(reference.earlier.mass_mg)
+    flow, barren_s = _Flow(reference.earlier.mass_mg), max(BARREN_S, BARREN_READINGS * period_s)
 
     def keep(point: CurvePoint) -> None:
         curve.append(point)
@@ -227,7 +229,7 @@ def run_dose(
                 unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
                 is_watched = clock.now_s - unwatched_since_s > unwatched_s
                 if is_watched:  # a mean may be stable and still creep by a digit, which would pass for a drift
-                    yield from pause(clock, 2.0 * request.balance.lag_s)
+                    yield from pause(clock, request.balance.latest_s)
                 mean = yield from balance.stable_mean(balance.spec.settles_s)
                 seen = weighed(mean)
                 level = 0.0
@@ -249,7 +251,7 @@ def run_dose(
             flow.note(seen)
             command = controller.decide(seen)
             is_going_on = not isinstance(command, Finish) or command.reason == "step_limit"
-            if seen.stable and flow.barren_s > BARREN_S and is_going_on:
+            if seen.stable and flow.barren_s > barren_s and is_going_on:
                 why = request.given_up(seen.net_mg - reference.earlier.mass_mg)
                 command = Finish(why, seen.net_mg, seen.uncertainty_mg)
             shown_mm = max(seen.opening_mm, held_mm)
