@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Stream, Weigh, new_controller
 from scuhand_bt.dosing.adaptive import Adaptive, Ended
+from scuhand_bt.dosing.constraint import NARROWEST_MM
 from scuhand_bt.dosing.controller import Command, Doubt
 from scuhand_bt.dosing.knowledge import SLACK_S, Knowledge
 from scuhand_bt.dosing.unseen import SEEN_S, STUCK_MM, begins_mm, seen_s, stuck_mg
@@ -304,6 +305,20 @@ def test_what_was_too_narrow_for_a_powder_is_kept_and_tried_again_a_little_narro
     assert kept is not None
     assert kept.narrowest_mm == pytest.approx(0.28, abs=0.01)
     assert Knowledge(request(powder=kept)).narrowest_mm == pytest.approx(0.2, abs=0.01)
+
+
+def test_near_the_target_no_opening_is_wider_for_what_the_powder_needs_than_what_may_come() -> None:
+    """A load that primed late had taught that it needs 0.6 mm, and then let 9 mg out at once where 3 were missing."""
+    known = Knowledge(request(powder=FAST.model_copy(update={"narrowest_mm": 0.5})))
+    needed_mm = known.narrowest_mm
+    known.begin(495.0, 0.1)
+    assert NARROWEST_MM < known.narrowest_mm < needed_mm
+    until_answered_s = PERIOD_S + SLACK_S + known.request.valve_dead_time_s
+    assert known.reference * known.narrowest_mm**known.shape.exponent * until_answered_s < known.most_mg - 495.0
+    Scale(known, 0.0).act(known.least_mm, 0.5)
+    known.little_came()
+    known.begin(100.0, 0.1)
+    assert known.narrowest_mm == needed_mm, "it needs no less for that"
 
 
 def test_a_cone_that_ran_empty_teaches_nothing_of_the_powder() -> None:
