@@ -145,11 +145,6 @@ class BalanceBelief(Spec):
     fits: Annotated[int, Field(ge=0)] = 0
     """How many steps and openings the lag was learnt from; 0 while it is only assumed."""
 
-    @property
-    def latest_s(self) -> float:
-        """How late it is when it takes its time; one that does not adapt is always as late as it is [s]."""
-        return 2.0 * self.lag_s * (math.exp(self.doubt) if self.adapts else 1.0)
-
 
 class Departure(StrEnum):
     """Where the stepwise controllers leave the paper's listing; `scuhand_bt.dosing.paper` says what each is for."""

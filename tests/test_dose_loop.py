@@ -199,7 +199,7 @@ def test_what_chance_would_hardly_make_is_watched_on_and_a_filter_is_let_settle_
 
 
 @pytest.mark.parametrize(
-    "believed", [BalanceBelief(lag_s=1.0), BalanceBelief(lag_s=0.5, doubt=math.log(2.0), adapts=True)]
+    "believed", [BalanceBelief(lag_s=1.0), BalanceBelief(lag_s=1.0 / 6.0, doubt=math.log(2.0), adapts=True)]
 )
 def test_what_a_slow_filter_has_yet_to_show_of_the_powder_is_no_drift(believed: BalanceBelief) -> None:
     """Nor what one that adapts has, which takes its time over the last of it."""
@@ -282,9 +282,7 @@ def test_a_dose_without_end_is_ended_after_half_an_hour() -> None:
     assert (last["kind"], last["net_mg"], last["gross_mg"]) == ("settle", 7.0, EMPTY_MG + 7.0)
 
 
-def slow(
-    commands: Iterable[Command], net_mg: Iterable[float], after_s: float = 1.0, period_s: float = 1.0
-) -> Loop:
+def slow(commands: Iterable[Command], net_mg: Iterable[float], after_s: float = 1.0, period_s: float = 1.0) -> Loop:
     """On a balance that is to tell a reading so often, and tells each `after_s` after the one before."""
     loop = Loop(commands, net_mg)
     loop.pan.spec, loop.pan.after_s = BalanceSpec(period_s=period_s), after_s

@@ -23,9 +23,11 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
+from scuhand_bt.dosing.identification import SETTLED
 from scuhand_bt.events.doses import CurveRow, Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
+from scuhand_bt.specs import BalanceBelief
 
 LOST_MG = 50.0
 """Powder does not leave the pan again: less by so much than there has been means that the container was moved. A lump
@@ -229,7 +231,7 @@ def run_dose(
                 unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
                 is_watched = clock.now_s - unwatched_since_s > unwatched_s
                 if is_watched:  # a mean may be stable and still creep by a digit, which would pass for a drift
-                    yield from pause(clock, request.balance.latest_s)
+                    yield from pause(clock, _creeps_s(request.balance))
                 mean = yield from balance.stable_mean(balance.spec.settles_s)
                 seen = weighed(mean)
                 level = 0.0
@@ -259,6 +261,15 @@ def run_dose(
     finally:
         hand.stop()
     return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
+
+
+def _creeps_s(balance: BalanceBelief) -> float:
+    """So long the last of the powder may be shown late, though a mean is stable [s].
+
+    A filter that adapts takes its time over it: `SETTLED` times the delay of its slow face.
+    """
+    delay_s = 2.0 * balance.lag_s
+    return SETTLED * delay_s * math.exp(balance.doubt) if balance.adapts else delay_s
 
 
 def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:
