@@ -207,6 +207,14 @@ def test_an_opening_begins_so_that_a_sheet_which_sticks_then_lets_out_no_more_th
     assert stuck_mg(known, opening_mm, 1.0) > known.reference * known.shape.value(opening_mm + STUCK_MM)
 
 
+def test_a_sheet_may_stick_when_powder_flows_as_strongly_as_it_was_ever_seen_to() -> None:
+    """A weak opening since, which a bridge may have held up, makes none begin wider."""
+    known, weak = Knowledge(request()), Knowledge(request())
+    Scale(known, 3.0 * BEADS.coefficient).opening(1.0, 2.0)
+    known.reference, known.spread = weak.reference, weak.spread
+    assert begins_mm(known, 60.0) < 0.9 * begins_mm(weak, 60.0)
+
+
 def test_far_from_the_target_a_sheet_that_sticks_limits_no_opening() -> None:
     assert begins_mm(Knowledge(request()), 3000.0) == 2.4
 
