@@ -324,6 +324,7 @@ def test_near_the_target_no_opening_is_wider_for_what_the_powder_needs_than_what
     until_answered_s = PERIOD_S + SLACK_S + known.request.valve_dead_time_s
     assert known.reference * known.narrowest_mm**known.shape.exponent * until_answered_s < known.most_mg - 495.0
     Scale(known, 0.0).act(known.least_mm, 0.5)
+    known.reference *= 0.5  # as nothing has come, so that a wider one may let out no more
     known.little_came()
     known.begin(100.0, 0.1)
     assert known.narrowest_mm == needed_mm, "it needs no less for that"
