@@ -222,12 +222,6 @@ class Dispense(Skill[Dose]):
         """A balance that holds its display, or shows finer digits than it weighs: all are multiples of something."""
         digit_mg = cell.spec.balance.readability_mg
         readings_mg = [point.net_mg for point in run.curve if not point.stable]
-        if (held := held_mg(readings_mg, digit_mg)) > 0.0:
-            raise SkillFailed(
-                Code.BALANCE_COARSE,
-                f"the display stood still in the dose, and then jumped by {held:.1f} mg: it holds what it shows"
-                f"{_untold(shown_mg)}",
-            )
         seen = {round(mg / digit_mg) for mg in readings_mg}
         first = min(seen, default=0)
         step = math.gcd(*(digits - first for digits in seen))
@@ -236,6 +230,12 @@ class Dispense(Skill[Dose]):
                 Code.BALANCE_COARSE,
                 f"all {len(seen)} readings of the dose that differ do so by multiples of {step * digit_mg:g} mg; "
                 f"robot/cell.yaml says a readability of {digit_mg:g} mg{_untold(shown_mg)}",
+            )
+        if (held := held_mg(readings_mg, digit_mg)) > 0.0:
+            raise SkillFailed(
+                Code.BALANCE_COARSE,
+                f"the display stood still in the dose, and then jumped by {held:.1f} mg: it holds what it shows"
+                f"{_untold(shown_mg)}",
             )
 
     @staticmethod

@@ -158,6 +158,28 @@ def test_a_zero_that_falls_while_powder_comes_is_remembered_unless_it_is_shaken(
     assert rig.cell.believed.zero_stepped_mg == pytest.approx(remembered_mg)
 
 
+@pytest.mark.parametrize(
+    ("digit_mg", "why"),
+    [(2.0, "by multiples of 2 mg; robot/cell.yaml says a readability of 0.1 mg"), (0.1, "the display stood still")],
+)
+def test_a_display_of_coarser_digits_stands_still_between_them_and_is_told_for_what_it_is(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, digit_mg: float, why: str
+) -> None:
+    """Set by hand to whole milligrams in the middle of a batch; or a display that holds what it shows."""
+    monkeypatch.setitem(CONTROLLERS, "pours", lambda request: Pours(rig, 0.0))  # type: ignore[arg-type]
+    begins_mg = rig.balance.load_mg
+
+    def shown_mg(time_s: float) -> float:
+        came_mg = rig.balance.load_mg - begins_mg
+        held_mg = 0.0 if came_mg < TARGET_MG / 2 else came_mg
+        return digit_mg * round(held_mg / digit_mg) - came_mg
+
+    rig.balance.zero_mg = shown_mg
+    skill = rig._skill("dispense", mass_mg=TARGET_MG, tolerance_mg=30.0, controller="pours")
+    with pytest.raises(SkillFailed, match=rf"balance\.coarse: .*{why}"):
+        rig.bench.drive(skill.run(rig.cell))
+
+
 @pytest.mark.parametrize("of_recipe", [True, False])
 @pytest.mark.parametrize(("name", "widest_mm"), [("paper", 1.0), ("adaptive", 2.1), ("direct_pid", 2.1)])
 def test_only_the_paper_is_held_to_what_the_paper_was_set_to(

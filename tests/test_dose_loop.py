@@ -111,7 +111,7 @@ class Loop:
     """Runs the loop on a scripted controller and balance."""
 
     cone_mg = 5000.0
-    lag_s = 0.3
+    believed = BalanceBelief(lag_s=0.3)
 
     def __init__(self, commands: Iterable[Command], net_mg: Iterable[float]) -> None:
         self.clock = VirtualClock()
@@ -122,7 +122,7 @@ class Loop:
 
     def run(self, against: Reference | None = None) -> DoseRun:
         hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
-        asked = DoseRequest(100.0, 2.0, 0.3, 2.4, 4.0, 0.1, self.cone_mg, balance=BalanceBelief(lag_s=self.lag_s))
+        asked = DoseRequest(100.0, 2.0, 0.3, 2.4, 4.0, 0.1, self.cone_mg, balance=self.believed)
         steps = run_dose(self.controller, asked, hand, balance, self.clock, self.record, against or reference())
         try:
             while True:
@@ -198,9 +198,13 @@ def test_what_chance_would_hardly_make_is_watched_on_and_a_filter_is_let_settle_
     assert now.time_s - before.time_s == pytest.approx(for_s)
 
 
-def test_what_a_slow_filter_has_yet_to_show_of_the_powder_is_no_drift() -> None:
+@pytest.mark.parametrize(
+    "believed", [BalanceBelief(lag_s=1.0), BalanceBelief(lag_s=1.0 / 6.0, doubt=math.log(2.0), adapts=True)]
+)
+def test_what_a_slow_filter_has_yet_to_show_of_the_powder_is_no_drift(believed: BalanceBelief) -> None:
+    """Nor what one that adapts has, which takes its time over the last of it."""
     loop, shut_s, missing_mg = Loop([Weigh(31.0)], [20.0]), BEGAN_S + 31.0, 0.25
-    loop.lag_s = 1.0
+    loop.believed = believed
     loop.pan.creep_mg = (-missing_mg * math.exp(shut_s - loop.clock.now_s) for _ in itertools.count())
     ((before, now),) = loop.run().watched
     assert now.gross_mg - before.gross_mg < 0.15 * missing_mg
@@ -278,10 +282,10 @@ def test_a_dose_without_end_is_ended_after_half_an_hour() -> None:
     assert (last["kind"], last["net_mg"], last["gross_mg"]) == ("settle", 7.0, EMPTY_MG + 7.0)
 
 
-def slow(commands: Iterable[Command], net_mg: Iterable[float], after_s: float = 1.0) -> Loop:
-    """On a balance that is to tell a reading once a second, and tells each `after_s` after the one before."""
+def slow(commands: Iterable[Command], net_mg: Iterable[float], after_s: float = 1.0, period_s: float = 1.0) -> Loop:
+    """On a balance that is to tell a reading so often, and tells each `after_s` after the one before."""
     loop = Loop(commands, net_mg)
-    loop.pan.spec, loop.pan.after_s = BalanceSpec(period_s=1.0), after_s
+    loop.pan.spec, loop.pan.after_s = BalanceSpec(period_s=period_s), after_s
     return loop
 
 
@@ -395,6 +399,14 @@ def test_what_the_weighing_after_a_barren_minute_shows_counts_and_so_does_a_cont
 def test_a_stream_that_brings_nothing_is_told_by_the_weighing_after_a_minute(seconds: int, reason: str) -> None:
     commands = [*[Stream(1.0)] * (10 * seconds), Weigh(), *[Stream(0.0)] * 100, Weigh()]
     assert Loop(commands, [0.0] * len(commands)).run().finish.reason == reason
+
+
+@pytest.mark.parametrize(("readings", "reason"), [(59, "reached"), (61, "no_flow")])
+def test_where_readings_are_rare_a_minute_is_too_short_for_a_controller_to_have_tried(
+    readings: int, reason: str
+) -> None:
+    loop = slow([*[Stream(1.0)] * readings, Weigh(), Stream(0.0)], [0.0] * (readings + 2), 2.0, 2.0)
+    assert loop.run().finish.reason == reason
 
 
 def test_a_shut_valve_is_no_reason_to_give_up() -> None:

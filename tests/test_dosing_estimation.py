@@ -382,3 +382,20 @@ def test_lumps_that_are_not_seen_yet_narrow_the_opening_on_a_slow_balance() -> N
 def test_where_no_opening_is_allowed_it_is_the_narrowest() -> None:
     assert widest(resting(), 0.0) == pytest.approx(0.15)
     assert widest(resting(), 1e6) == pytest.approx(2.4)
+
+
+def test_on_a_slow_balance_an_opening_that_is_shut_by_reckoning_is_the_wider_the_sooner_that_is() -> None:
+    """What is more than reckoned comes until the aim is reached, not until a balance that is 6 s late has shown it."""
+    shape = FlowShape(0.1, 2.5)
+    near_mm, far_mm = (
+        widest_mm(resting(6.0, 0.1), shape, aim_mg, 20.0, 0.26, 4.0, 2.4, FLOW, 0.3, 0.05) for aim_mg in (8.0, 19.0)
+    )
+    assert near_mm > 1.1 * far_mm
+
+
+def test_a_flow_that_may_walk_farther_while_it_is_not_seen_is_opened_for_less() -> None:
+    shape, bank = FlowShape(0.1, 2.5), resting(6.0, 0.1)
+    held_up_mm, free_mm = (
+        widest_mm(bank, shape, 18.0, 20.0, 0.26, 4.0, 2.4, reference, 0.3, 0.05) for reference in (5.0 * FLOW, FLOW)
+    )
+    assert held_up_mm < 0.9 * free_mm

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Stream, Weigh, new_controller
 from scuhand_bt.dosing.adaptive import Adaptive, Ended
+from scuhand_bt.dosing.constraint import NARROWEST_MM
 from scuhand_bt.dosing.controller import Command, Doubt
 from scuhand_bt.dosing.knowledge import SLACK_S, Knowledge
 from scuhand_bt.dosing.unseen import SEEN_S, STUCK_MM, begins_mm, seen_s, stuck_mg
@@ -206,6 +207,14 @@ def test_an_opening_begins_so_that_a_sheet_which_sticks_then_lets_out_no_more_th
     assert stuck_mg(known, opening_mm, 1.0) > known.reference * known.shape.value(opening_mm + STUCK_MM)
 
 
+def test_a_sheet_may_stick_when_powder_flows_as_strongly_as_it_was_ever_seen_to() -> None:
+    """A weak opening since, which a bridge may have held up, makes none begin wider."""
+    known, weak = Knowledge(request()), Knowledge(request())
+    Scale(known, 3.0 * BEADS.coefficient).opening(1.0, 2.0)
+    known.reference, known.spread = weak.reference, weak.spread
+    assert begins_mm(known, 60.0) < 0.9 * begins_mm(weak, 60.0)
+
+
 def test_far_from_the_target_a_sheet_that_sticks_limits_no_opening() -> None:
     assert begins_mm(Knowledge(request()), 3000.0) == 2.4
 
@@ -304,6 +313,21 @@ def test_what_was_too_narrow_for_a_powder_is_kept_and_tried_again_a_little_narro
     assert kept is not None
     assert kept.narrowest_mm == pytest.approx(0.28, abs=0.01)
     assert Knowledge(request(powder=kept)).narrowest_mm == pytest.approx(0.2, abs=0.01)
+
+
+def test_near_the_target_no_opening_is_wider_for_what_the_powder_needs_than_what_may_come() -> None:
+    """A load that primed late had taught that it needs 0.6 mm, and then let 9 mg out at once where 3 were missing."""
+    known = Knowledge(request(powder=FAST.model_copy(update={"narrowest_mm": 0.5})))
+    needed_mm = known.narrowest_mm
+    known.begin(499.0, 0.1)
+    assert NARROWEST_MM < known.narrowest_mm < needed_mm
+    until_answered_s = PERIOD_S + SLACK_S + known.request.valve_dead_time_s
+    assert known.reference * known.narrowest_mm**known.shape.exponent * until_answered_s < known.most_mg - 499.0
+    Scale(known, 0.0).act(known.least_mm, 0.5)
+    known.reference *= 0.2  # as nothing has come, so that a wider one may let out no more
+    known.little_came()
+    known.begin(100.0, 0.1)
+    assert known.narrowest_mm == needed_mm, "it needs no less for that"
 
 
 def test_a_cone_that_ran_empty_teaches_nothing_of_the_powder() -> None:

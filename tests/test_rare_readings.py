@@ -55,6 +55,7 @@ def test_an_opening_is_the_shorter_the_less_may_come_and_the_stronger_the_flow()
     holds_s = [hold_s(weak, 0.5, most_mg) for most_mg in (100.0, 30.0, 12.0, 3.0)]
     assert holds_s[0] == weak.until_next_s > holds_s[1] > holds_s[2] > holds_s[3] == LEAST_HOLD_S
     assert hold_s(strong, 0.5, 100.0) < hold_s(weak, 0.5, 100.0)
+    assert hold_s(strong, 0.5, 0.1) == LEAST_HOLD_S, "too much by then, however short it is"
 
 
 @pytest.mark.parametrize(("from_mm", "to_mm"), [(0.0, 0.58), (0.5, 0.3), (0.2, 0.9)])

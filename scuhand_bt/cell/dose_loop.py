@@ -23,9 +23,11 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
+from scuhand_bt.dosing.identification import SETTLED
 from scuhand_bt.events.doses import CurveRow, Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
+from scuhand_bt.specs import BalanceBelief
 
 LOST_MG = 50.0
 """Powder does not leave the pan again: less by so much than there has been means that the container was moved. A lump
@@ -79,6 +81,8 @@ class DoseRun:
 BARREN_S = 60.0
 """Open for so long without a gain: nothing comes, whatever the controller hopes for. A fresh load primes within 10 s,
 and an arch stands for 40 s at the most before it is shaken."""
+BARREN_READINGS = 60
+"""At least so many readings long, too: each try is over when a few of them have shown nothing."""
 GAIN_MG, AVERAGED = 1.0, 10
 """A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
 WATCHES = 3
@@ -160,7 +164,7 @@ def run_dose(
     last = reference.before
     watched: list[tuple[Gross, Gross]] = []
     kept = _Kept()
-    flow = _Flow(reference.earlier.mass_mg)
+    flow, barren_s = _Flow(reference.earlier.mass_mg), max(BARREN_S, BARREN_READINGS * period_s)
 
     def keep(point: CurvePoint) -> None:
         curve.append(point)
@@ -227,7 +231,7 @@ def run_dose(
                 unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
                 is_watched = clock.now_s - unwatched_since_s > unwatched_s
                 if is_watched:  # a mean may be stable and still creep by a digit, which would pass for a drift
-                    yield from pause(clock, 2.0 * request.balance.lag_s)
+                    yield from pause(clock, _creeps_s(request.balance))
                 mean = yield from balance.stable_mean(balance.spec.settles_s)
                 seen = weighed(mean)
                 level = 0.0
@@ -249,7 +253,7 @@ def run_dose(
             flow.note(seen)
             command = controller.decide(seen)
             is_going_on = not isinstance(command, Finish) or command.reason == "step_limit"
-            if seen.stable and flow.barren_s > BARREN_S and is_going_on:
+            if seen.stable and flow.barren_s > barren_s and is_going_on:
                 why = request.given_up(seen.net_mg - reference.earlier.mass_mg)
                 command = Finish(why, seen.net_mg, seen.uncertainty_mg)
             shown_mm = max(seen.opening_mm, held_mm)
@@ -257,6 +261,15 @@ def run_dose(
     finally:
         hand.stop()
     return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
+
+
+def _creeps_s(balance: BalanceBelief) -> float:
+    """So long the last of the powder may be shown late, though a mean is stable [s].
+
+    A filter that adapts takes its time over it: `SETTLED` times the delay of its slow face.
+    """
+    delay_s = 2.0 * balance.lag_s
+    return SETTLED * delay_s * math.exp(balance.doubt) if balance.adapts else delay_s
 
 
 def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:

@@ -93,7 +93,7 @@ class Knowledge:
         self.doubt: Doubt | None = None
         self.time_s = 0.0
         self.rows: list[Row] = []
-        self.narrowest_mm = max(self.belief.narrowest_mm / WIDER, NARROWEST_MM)
+        self._needed_mm = max(self.belief.narrowest_mm / WIDER, NARROWEST_MM)
         """Above the threshold: from less, little comes. Each dose tries less than the one before."""
         self._ratios: list[tuple[float, float, float]] = []
         """Of openings: what came [mg], the coefficient against the belief's as a logarithm, and the mean gap [mm]."""
@@ -116,6 +116,10 @@ class Knowledge:
             self.bank.temper = 0.0
         self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
+        self.narrowest_mm = self._needed_mm
+        """The same, of this opening: what lets out more until it is answered than may come is no choice."""
+        while self.narrowest_mm > NARROWEST_MM and not self._may_come(self.narrowest_mm):
+            self.narrowest_mm = max(self.narrowest_mm / WIDER, NARROWEST_MM)
 
     def act(
         self, opening_mm: float, vibration: float, hold_s: float = math.inf
@@ -314,12 +318,13 @@ class Knowledge:
         """
         tried_mm = float(max(row.phi_s / row.dt_s for row in self.rows) ** (1.0 / self.shape.exponent))
         wider_mm = min(WIDER * max(tried_mm, self.narrowest_mm), MOST_NARROWEST_MM)
-        left_mg = self.most_mg - self.bank.mass_mg
-        if (
-            tried_mm < MOST_NARROWEST_MM
-            and self.strongest * self.valve.passes(self.shape.threshold_mm + wider_mm, LEAST_HOLD_S + SLACK_S) < left_mg
-        ):
-            self.narrowest_mm = wider_mm
+        if tried_mm < MOST_NARROWEST_MM and self._may_come(wider_mm):
+            self._needed_mm = max(self._needed_mm, wider_mm)
+
+    def _may_come(self, gap_mm: float) -> bool:
+        """Whether no more than may come leaves an opening so far above the threshold until it is answered."""
+        passes = self.valve.passes(self.shape.threshold_mm + gap_mm, LEAST_HOLD_S + SLACK_S)
+        return self.strongest * passes < self.most_mg - self.bank.mass_mg
 
     @property
     def knows_balance(self) -> bool:
@@ -338,7 +343,7 @@ class Knowledge:
         """The dose's last word, with what was learnt."""
         balance = self.balance.model_copy(update={"noise_mg": self.noise.quiet_mg})
         if reason in ("empty", "no_flow"):  # an empty cone says nothing of a width
-            self.narrowest_mm = self.belief.narrowest_mm
+            self._needed_mm = self.belief.narrowest_mm
         return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance, self.doubt)
 
     def _powder(self) -> PowderBelief:
@@ -359,7 +364,7 @@ class Knowledge:
             coefficient=belief.coefficient * math.exp(weight * ratio),
             threshold_mm=belief.threshold_mm,
             gap_mm=gap_mm,
-            narrowest_mm=self.narrowest_mm,
+            narrowest_mm=self._needed_mm,
             exponent=belief.exponent,
             spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
             erratic=self.erratic,
