@@ -232,23 +232,30 @@ class ContainerKind(Spec):
 
 
 class Mortar(Spec):
-    """A mortar of `robot/containers.yaml` (`mortars:`): a spherical bowl that powder is scooped from."""
+    """A vessel of `robot/containers.yaml` (`mortars:`) that powder is scooped from: a mortar, a beaker or a jar.
+
+    A mortar's inside is a spherical bowl. One with a `corner` has a level floor and an upright wall instead.
+    """
 
     name: str
     summary: str = ""
     bore_mm: Annotated[Millimetres, Positive]
     """Inner diameter at the rim."""
     depth_mm: Annotated[Millimetres, Positive]
-    """Rim to the bowl's lowest point; at most half the bore, as the bowl is a spherical cap."""
+    """Rim to the lowest point; at most half the bore in a bowl, which is a spherical cap."""
     height_mm: Annotated[Millimetres, Positive]
     """Rim above the table."""
     outer_diameter_mm: Annotated[Millimetres, Positive]
+    corner_mm: Annotated[Millimetres, Positive] | None = None
+    """Inner radius between the level floor and the upright wall of a beaker or a jar; a bowl has none."""
 
     @model_validator(mode="after")
-    def _is_a_cap(self) -> Self:
-        if self.depth_mm > self.bore_mm / 2:
-            beyond = "no beaker or jar is scooped from yet"
+    def _is_a_vessel(self) -> Self:
+        if self.corner_mm is None and self.depth_mm > self.bore_mm / 2:
+            beyond = "a beaker or a jar has a 'corner', the radius between its floor and its wall"
             raise ValueError(f"the bowl is a cap of a sphere: its depth is at most half its bore; {beyond}")
+        if self.corner_mm is not None and self.corner_mm > min(self.depth_mm, self.bore_mm / 2):
+            raise ValueError("the corner is the radius between floor and wall: at most the depth, and half the bore")
         return self
 
     @property
@@ -258,8 +265,14 @@ class Mortar(Spec):
 
     @property
     def capacity_mm3(self) -> float:
-        """Volume of the spherical cap: pi h (3 a^2 + h^2) / 6."""
-        return math.pi * self.depth_mm * (3 * (self.bore_mm / 2) ** 2 + self.depth_mm**2) / 6
+        """Volume of the spherical cap, pi h (3 a^2 + h^2) / 6, or of the cylinder without what its corner takes."""
+        a_mm, h_mm = self.bore_mm / 2, self.depth_mm
+        if self.corner_mm is None:
+            return math.pi * h_mm * (3 * a_mm**2 + h_mm**2) / 6
+        c_mm = self.corner_mm
+        f_mm = a_mm - c_mm
+        corner_mm3 = math.pi * c_mm * (f_mm**2 + math.pi / 2 * f_mm * c_mm + 2 / 3 * c_mm**2)
+        return math.pi * a_mm**2 * (h_mm - c_mm) + corner_mm3
 
 
 Leftover = Literal["keep", "return", "discard"]

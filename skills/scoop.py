@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+from scuhand_bt.dosing.beds import AnyBed, bed_in, expected_mg, layer_left, strokes_in
+from scuhand_bt.dosing.jars import LEAST_MG
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
-from scuhand_bt.dosing.strokes import LOAD_AIM, Bed, chosen, expected_mg, layer_left, scooped_for_mg
+from scuhand_bt.dosing.strokes import LOAD_AIM, scooped_for_mg
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.quantity import format_mass
 from scuhand_bt.skill import (
     Cell,
     Code,
@@ -75,8 +78,8 @@ class Scoop(Skill[Milligrams]):
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
         believed.touched(source)
         bed = self._bed(cell)
-        aimed_at = self._chosen(cell, bed, in_mortar_mg)
-        stroke, motion = yield from cell.planned(lambda: self._planned(cell, aimed_at))
+        wished = self._wished(cell, bed, in_mortar_mg)
+        stroke, motion = yield from cell.planned(lambda: self._planned(cell, wished))
         yield from cell.make_stroke(motion, stroke.open_mm, source.station)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
         held_mg = self._believe(cell, stroke, motion.duration_s, bed)
@@ -95,12 +98,19 @@ class Scoop(Skill[Milligrams]):
                 Code.HAND_WRONG_POWDER, f"the sheet has touched {believed.sheet}, not {self.source.sheet_key}"
             )
 
-    def _bed(self, cell: Cell) -> Bed:
+    def _bed(self, cell: Cell) -> AnyBed:
         source, believed = self.source, cell.believed
-        return Bed(source.mortar, believed.sources_mg[source.name], source.powder, believed.layers.get(source.name))
+        return bed_in(
+            source.mortar,
+            believed.sources_mg[source.name],
+            source.powder,
+            cell.spec.hand.sheet_radius_mm,
+            believed.layers.get(source.name),
+        )
 
-    def _chosen(self, cell: Cell, bed: Bed, in_mortar_mg: float) -> Stroke:
-        source = self.source
+    def _wished(self, cell: Cell, bed: AnyBed, in_mortar_mg: float) -> list[Stroke]:
+        """The strokes that may be made, the first that the arm can make before others."""
+        source, slant_mm = self.source, cell.spec.hand.sheet_radius_mm
         yielded = cell.believed.yields.get(source.name, 1.0)
         # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
         aim = RICH_AIM if yielded >= RICH else LOAD_AIM
@@ -109,26 +119,39 @@ class Scoop(Skill[Milligrams]):
         if self.wanted_mg is not None:
             wanted_mg = scooped_for_mg(self.wanted_mg) / yielded
         try:
-            stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
+            strokes = strokes_in(bed, slant_mm, min(wanted_mg, most_mg), self._headings_deg(cell))
         except NoStrokeError as error:
             raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
-        if stroke.gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
+        if source.mortar.corner_mm is not None:
+            strokes = [one for one in strokes if yielded * expected_mg(one, bed, slant_mm) >= LEAST_MG]
+            if not strokes:
+                raise self._out_of_reach(in_mortar_mg)
+        elif strokes[0].gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
             most_mm = LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand)
-            stroke = replace(stroke, gap_mm=-min(self.over_travel_mm, most_mm))
-        return replace(stroke, lip_speed_mm_per_s=self.speed_mm_per_s)
+            strokes = [replace(one, gap_mm=-min(self.over_travel_mm, most_mm)) for one in strokes]
+        return [replace(one, lip_speed_mm_per_s=self.speed_mm_per_s) for one in strokes]
 
-    def _planned(self, cell: Cell, stroke: Stroke) -> "tuple[Stroke, StoppableTrajectory]":
-        """The stroke in the first direction in which the arm can make it; SkillFailed where it can in none."""
+    def _out_of_reach(self, in_mortar_mg: float) -> SkillFailed:
+        left = f"of the {format_mass(in_mortar_mg)} that are believed to be in '{self.source.name}'"
+        return SkillFailed(
+            Code.SOURCE_EMPTY,
+            f"{left} a stroke would bring less than {format_mass(LEAST_MG)}: they lie before the jar's wall and beside "
+            "the strokes; fill some in, or heap what is there up in the middle and say so",
+        )
+
+    def _planned(self, cell: Cell, strokes: list[Stroke]) -> "tuple[Stroke, StoppableTrajectory]":
+        """The first that the arm can make; SkillFailed where it can make none."""
         vessel, hand = Vessel.of(self.source.mortar), cell.spec.hand
         ladle = Ladle.of(hand)
         why: Exception | None = None
-        for heading_deg in self._headings_deg(cell):
-            turned = replace(stroke, heading_deg=heading_deg)
+        for stroke in strokes:
             try:
-                return turned, cell.plan_stroke(stroke_path(vessel, turned, ladle), self.source)
+                return stroke, cell.plan_stroke(stroke_path(vessel, stroke, ladle), self.source)
             except (NoStrokeError, SkillFailed) as error:
                 why = why or error
-        where = f"at '{self.source.station}' no stroke of {stroke.open_mm:.0f} mm is possible in any direction"
+        if self.source.name in cell.believed.layers and vessel.floor_mm > 0.0:
+            raise self._out_of_reach(cell.believed.sources_mg[self.source.name])
+        where = f"at '{self.source.station}' no stroke of {strokes[0].open_mm:.0f} mm is possible in any direction"
         raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
     def _headings_deg(self, cell: Cell) -> list[float]:
@@ -137,7 +160,7 @@ class Scoop(Skill[Milligrams]):
         first = cell.strokes_made.get(self.source.name, 0)
         return [(outward_deg + HEADINGS_DEG[(first + k) % len(HEADINGS_DEG)]) % 360.0 for k in range(len(HEADINGS_DEG))]
 
-    def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, bed: Bed) -> float:
+    def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, bed: AnyBed) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""
         source, believed = self.source, cell.believed
         sheet_radius_mm = cell.spec.hand.sheet_radius_mm

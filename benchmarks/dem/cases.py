@@ -87,7 +87,7 @@ class Case:
 
     def written(self) -> dict[str, Any]:
         return {
-            "mortar": {"bore_mm": self.mortar.bore_mm, "depth_mm": self.mortar.depth_mm},
+            "mortar": self.mortar.model_dump(include={"bore_mm", "depth_mm", "corner_mm"}, exclude_none=True),
             "fill_mg": self.fill_mg,
             "grain": {"radius_mm": self.grain_mm / 2, "density_mg_per_mm3": GRAIN_DENSITY},
             "friction_deg": self.friction_deg,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.dem.cases import SLANT_MM, Case
+from scuhand_bt.sim.bed import wall_mm
 
 SLICE_MM = 8.0
 """Half the thickness of what is shown from the side."""
@@ -23,13 +24,12 @@ def draw(case: Case, found: dict[str, Any], path: Path) -> None:
     figure, rows = plt.subplots(2, len(moments), figsize=(3.2 * len(moments), 5.6), squeeze=False, layout="constrained")
     bore_mm, depth_mm = case.mortar.bore_mm, case.mortar.depth_mm
     across = np.linspace(-bore_mm / 2, bore_mm / 2, 99)
-    sphere_mm = case.mortar.bowl_radius_mm
     around = np.linspace(0.0, 2 * math.pi, 60)[:, None]
     for moment, side, above in zip(moments, *rows, strict=True):
         grains, apex, axis = (np.array(moment[key]) for key in ("grains_mm", "apex_mm", "axis"))
         tilt, alpha = math.atan2(axis[0], axis[2]), math.asin(moment["rim_mm"] / 2 / SLANT_MM)
         near = np.abs(grains[:, 1]) < SLICE_MM
-        side.plot(across, sphere_mm - np.sqrt(sphere_mm**2 - across**2), "k", lw=1)
+        side.plot(across, wall_mm(case.mortar, np.abs(across)), "k", lw=1)
         side.scatter(grains[near, 0], grains[near, 2], s=9, c="tab:olive")
         for angle in (tilt - alpha, tilt + alpha):
             side.plot(

@@ -4,8 +4,8 @@
 
 It runs in the system's Python, under Debian's `yade`, and knows nothing of this package: the case is all that it gets.
 
-    CASE    mortar {bore_mm, depth_mm}, fill_mg, grain {radius_mm, density_mg_per_mm3}, friction_deg, wall_friction_deg,
-            sheet_radius_mm, strokes [{times_s, apex_mm, axis, rim_mm}], picture_times_s (of the first stroke)
+    CASE    mortar {bore_mm, depth_mm, corner_mm (of a jar)}, fill_mg, grain {radius_mm, density_mg_per_mm3},
+            friction_deg, wall_friction_deg, sheet_radius_mm, strokes [{times_s, apex_mm, axis, rim_mm}], picture_times_s (of the first stroke)
     RESULT  fill_mg, cpu_s, strokes [{collected_mg, left_mg, spilled_mg}],
             pictures [{time_s, apex_mm, axis, rim_mm, grains_mm}]
 
@@ -43,11 +43,17 @@ STEP_S = 5.3e-5 * case["grain"]["radius_mm"]
 
 
 def mortar_profile():
-    """(radius, height) of the bowl's wall and of a short collar's outside, from the bottom up."""
+    """(radius, height) of the bowl's or the jar's wall and of a short collar's outside, from the bottom up."""
     bore, depth = case["mortar"]["bore_mm"], case["mortar"]["depth_mm"]
-    radius = ((bore / 2) ** 2 + depth**2) / (2 * depth)
-    edge = math.acos(1 - depth / radius)
-    profile = [(radius * math.sin(a), radius * (1 - math.cos(a))) for a in np.linspace(0, edge, 11)]
+    if "corner_mm" in case["mortar"]:
+        corner = case["mortar"]["corner_mm"]
+        floor = bore / 2 - corner
+        arc = [(floor + corner * math.sin(a), corner * (1 - math.cos(a))) for a in np.linspace(0, math.pi / 2, 5)]
+        profile = [(0.0, 0.0), *arc, (bore / 2, depth)]
+    else:
+        radius = ((bore / 2) ** 2 + depth**2) / (2 * depth)
+        edge = math.acos(1 - depth / radius)
+        profile = [(radius * math.sin(a), radius * (1 - math.cos(a))) for a in np.linspace(0, edge, 11)]
     return [*profile, (profile[-1][0] + 6.0, depth)]
 
 

@@ -97,6 +97,14 @@ THIN_MM = 0.01
 
 
 @dataclass(frozen=True, slots=True)
+class Pass:
+    """A stroke that was made along a jar's floor: what is left on its way is so thick under the lip."""
+
+    heading_deg: float
+    left_mm: float
+
+
+@dataclass(frozen=True, slots=True)
 class Layer:
     """What the last stroke has left on a mortar's wall: no thicker than that, and so much.
 
@@ -109,6 +117,8 @@ class Layer:
     """What has fallen back before lips that left the wall, besides: high up, where the next strokes find little."""
     missed_mg: float = 0.0
     """Of that, what is there only because the last stroke did not find it: the next one may find it all the same."""
+    passes: tuple[Pass, ...] = ()
+    """In a jar (`jars.py`), the last stroke along each heading."""
 
 
 def scooped_for_mg(dose_mg: float) -> float:

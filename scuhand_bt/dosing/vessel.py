@@ -59,7 +59,9 @@ class Vessel:
 
     @classmethod
     def of(cls, mortar: Mortar) -> "Vessel":
-        """A mortar's bowl."""
+        """A mortar's bowl, or the level floor and upright wall of one with a corner."""
+        if mortar.corner_mm is not None:
+            return cls.cylinder(mortar.bore_mm, mortar.depth_mm, mortar.outer_diameter_mm, mortar.corner_mm)
         return cls.bowl(mortar.bore_mm, mortar.depth_mm, mortar.outer_diameter_mm)
 
     @property

@@ -1,8 +1,9 @@
 """What stands in the cell, as solids: the bench's geometry, the mortars, the container on the pan.
 
 Elsewhere a mortar is a full cylinder. While its powder is scooped it is hollow: rings of boxes around
-the spherical bowl of radius R = (a^2 + h^2) / 2h (a: half the bore, h: depth), each ring as wide
-inside as the bowl is at the ring's lower edge, so that the boxes never reach less far than the bowl.
+the spherical bowl of radius R = (a^2 + h^2) / 2h (a: half the bore, h: depth), or around the floor,
+corner and upright wall of a jar, each ring as wide inside as that is at the ring's lower edge, so
+that the boxes never reach less far than the wall.
 
 Metres and radians, base frame.
 """
@@ -54,16 +55,16 @@ def full_mortar(station: Station, mortar: Mortar) -> Solid:
 
 
 def hollow_mortar(station: Station, mortar: Mortar) -> list[Solid]:
-    """The mortar with its bowl open from above."""
+    """The mortar open from above."""
     x, y, z = (value / 1e3 for value in station.position_mm)
-    outer_m, radius_m = mortar.outer_diameter_mm / 2e3, mortar.bowl_radius_mm / 1e3
+    outer_m = mortar.outer_diameter_mm / 2e3
     height_m, depth_m = mortar.height_mm / 1e3, mortar.depth_mm / 1e3
     floor_m = height_m - depth_m
     solids = [Solid(f"{station.name} floor", (x, y, z + floor_m / 2), cylinder_m=(2 * outer_m, max(floor_m, 1e-3)))]
     ring_m = depth_m / _RINGS
     for ring in range(_RINGS):
         low_m = ring * ring_m
-        inner_m = math.sqrt(max(0.0, radius_m**2 - (radius_m - low_m) ** 2)) * math.cos(math.pi / _SIDES)
+        inner_m = _inside_m(mortar, low_m) * math.cos(math.pi / _SIDES)
         middle_m, thick_m = (outer_m + inner_m) / 2, outer_m - inner_m
         side_m = 2 * outer_m * math.tan(math.pi / _SIDES)
         for k in range(_SIDES):
@@ -72,6 +73,16 @@ def hollow_mortar(station: Station, mortar: Mortar) -> list[Solid]:
             name = f"{station.name} wall {ring}.{k}"
             solids.append(Solid(name, centre_m, box_m=(thick_m, side_m, ring_m), yaw_rad=yaw))
     return solids
+
+
+def _inside_m(mortar: Mortar, high_m: float) -> float:
+    """Half of how wide a mortar is inside, so high above its lowest point."""
+    if mortar.corner_mm is None:
+        radius_m = mortar.bowl_radius_mm / 1e3
+        return math.sqrt(max(0.0, radius_m**2 - (radius_m - high_m) ** 2))
+    corner_m = mortar.corner_mm / 1e3
+    below_m = max(0.0, corner_m - high_m)
+    return mortar.bore_mm / 2e3 - corner_m + math.sqrt(corner_m**2 - below_m**2)
 
 
 def are_in_each_other(first: Solid, second: Solid) -> bool:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 FILL_SHARE = 0.2
 """Of what a mortar holds, the bed that its first stroke is looked at in."""
+THIN_SHARE = 0.02
+"""Of what a jar holds, one of which a stroke takes all that is on its way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +50,10 @@ def _at(lab: Lab, station: str, mortar: Mortar, powder: Powder) -> Iterator[Dire
     planner = lab.motion_planner({station: mortar})
     above_mm = over_mortar(lab.cell.stations[station], mortar)
     planner.add_place(station, ApexPose(np.array(above_mm) / 1000))
+    last_mg = LEAST_BED_MG if mortar.corner_mm is None else THIN_SHARE * source.capacity_mg
     for heading_deg in sorted(headings_deg(lab.cell, station)):
         first = _looked_at(planner, lab, source, FILL_SHARE * source.capacity_mg, heading_deg)
-        last = _looked_at(planner, lab, source, LEAST_BED_MG, heading_deg)
+        last = _looked_at(planner, lab, source, last_mg, heading_deg)
         first_s, last_s = (one if isinstance(one, float) else None for one in (first, last))
         why_not = next((one for one in (first, last) if isinstance(one, str)), "")
         yield Direction(station, mortar.name, heading_deg, first_s, last_s, why_not)

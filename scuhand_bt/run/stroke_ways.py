@@ -8,9 +8,11 @@ from scuhand_bt.cell.cell import carrying_limit_deg
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
+from scuhand_bt.dosing.beds import bed_in, expected_mg, layer_left, strokes_in
 from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.dosing.jars import LEAST_MG
 from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
-from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg
+from scuhand_bt.dosing.strokes import LOAD_AIM
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
@@ -57,9 +59,8 @@ def poor_first_mg(cell: CellSpec, source: Source, largest_mg: float) -> float | 
 
     None where it brings more, and where there is none.
     """
-    bed, slant_mm = Bed(source.mortar, source.amount_mg, source.powder), cell.hand.sheet_radius_mm
     try:
-        brings_mg = expected_mg(chosen(bed, slant_mm, source.powder.load_limit_mg), bed, slant_mm)
+        _, brings_mg = _first(cell, source, source.amount_mg)
     except NoStrokeError:
         return None
     return brings_mg if brings_mg < min(POOR_SHARE * _at_once_mg(source), POOR_DOSES * largest_mg) else None
@@ -72,22 +73,71 @@ def _at_once_mg(source: Source) -> float:
 
 def stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> Stroke:
     """What is made in such a bed; MortarCannotBeScooped where it brings less than is worth it."""
-    bed, slant_mm = Bed(source.mortar, bed_mg, source.powder), cell.hand.sheet_radius_mm
     try:
-        stroke = chosen(bed, slant_mm, source.powder.load_limit_mg)
+        stroke, brings_mg = _first(cell, source, bed_mg)
     except NoStrokeError as error:
         raise MortarCannotBeScooped(source.name, str(error)) from None
-    if (brings_mg := expected_mg(stroke, bed, slant_mm)) < worth_mg:
-        brings = f"of {format_mass(bed_mg)} a stroke in this bowl brings {format_mass(brings_mg)}"
-        why = f"{brings} without a heap over its edge; take a deeper mortar, or a larger one"
+    if brings_mg < worth_mg:
+        what, brings = f"of {format_mass(bed_mg)} a stroke in this", f"brings {format_mass(brings_mg)}"
+        why = f"{what} bowl {brings} without a heap over its edge; take a deeper mortar, or a larger one"
+        if source.mortar.corner_mm is not None:
+            why = f"{what} jar {brings}; fill in more, or take a mortar"
         raise MortarCannotBeScooped(source.name, why)
     return stroke
+
+
+def _first(cell: CellSpec, source: Source, bed_mg: float) -> tuple[Stroke, float]:
+    """The first stroke in such a bed, and what it should bring; NoStrokeError where there is none."""
+    slant_mm = cell.hand.sheet_radius_mm
+    bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm)
+    (stroke,) = strokes_in(bed, slant_mm, source.powder.load_limit_mg, [0.0])
+    return stroke, expected_mg(stroke, bed, slant_mm)
 
 
 def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
     """What is made in a bed on the way through a mortar. MortarCannotBeScooped where nothing comes of it."""
     worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
     return stroke_worth(cell, source, bed_mg, worth_mg)
+
+
+def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> None:
+    """The strokes that are made in a jar, as the skill chooses them, until they should have brought what is needed.
+
+    SkillFailed arm.* where the arm can make none; MortarCannotBeScooped where all that it can make bring less.
+    """
+    source, slant_mm = demand.source, cell.hand.sheet_radius_mm
+    bed_mg, layer, why = source.amount_mg, None, ""
+    can = dict[float, bool]()
+    while (brought_mg := source.amount_mg - bed_mg) < demand.needed_mg:
+        bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm, layer)
+        wanted_mg = LOAD_AIM * source.powder.load_limit_mg
+        for stroke in strokes_in(bed, slant_mm, wanted_mg, list(headings_deg(cell, source.station))):
+            if expected_mg(stroke, bed, slant_mm) < min(LEAST_MG, demand.needed_mg - brought_mg):
+                continue
+            if stroke.heading_deg not in can:
+                try:
+                    swing_and_out(motion, cell, source, stroke)
+                except (NoStrokeError, SkillFailed) as error:
+                    why = why or str(error)
+                    can[stroke.heading_deg] = False
+                else:
+                    can[stroke.heading_deg] = True
+            if can[stroke.heading_deg]:
+                bed_mg -= expected_mg(stroke, bed, slant_mm)
+                layer = layer_left(stroke, bed, slant_mm)
+                break
+        else:
+            break
+    if not any(can.values()):
+        raise SkillFailed(Code.ARM_NO_PATH, f"at '{source.station}' no stroke is possible in any direction: {why}")
+    if brought_mg < demand.needed_mg:
+        of = f"of {format_mass(source.amount_mg)} in this jar the strokes that the arm can make at '{source.station}'"
+        raise MortarCannotBeScooped(
+            source.name,
+            f"{of} bring {format_mass(brought_mg)}, and {format_mass(demand.needed_mg)} are needed; the rest lies "
+            "before the wall and beside the strokes: fill in more, take a mortar, or a place where the arm can make "
+            "strokes in more directions (`scuhand-bt reach --task scoop`)",
+        )
 
 
 def headings_deg(cell: CellSpec, station: str) -> Iterator[float]:

@@ -30,6 +30,7 @@ from scuhand_bt.run.stroke_ways import (
     headings_deg,
     require_first,
     stroke_in,
+    strokes_in_jar,
     swing_and_out,
 )
 from scuhand_bt.specs import ContainerKind, Mortar, Source
@@ -89,8 +90,7 @@ def _lacks(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind]
         motion.set_geometry()
         for station, place, limit_deg in _carries(cell, source, kinds):
             motion.move(motion.standing_at(station), place, spill_limit_deg=limit_deg)
-        for bed_mg in _beds_mg(demand):
-            _stroke(motion, cell, source, bed_mg)
+        _strokes(motion, cell, demand)
     except SkillFailed as failure:
         return failure
     return None
@@ -118,8 +118,7 @@ def _ways(
             motion.move(begin, down.start, spill_limit_deg=limit_deg)
     motion.set_geometry()
     for demand in scooped:
-        for bed_mg in _beds_mg(demand):
-            _stroke(motion, cell, demand.source, bed_mg)
+        _strokes(motion, cell, demand)
 
 
 def _limit_deg(cell: CellSpec, source: Source) -> float:
@@ -143,6 +142,15 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
         for first, second in itertools.combinations([name for name in motion.places if name not in over], 2):
             motion.move(motion.standing_at(first), second)
     motion.set_geometry()
+
+
+def _strokes(motion: MotionPlanner, cell: CellSpec, demand: Demand) -> None:
+    """In a mortar the first stroke of a plan and the last; in a jar as many as should bring what is needed."""
+    if demand.source.mortar.corner_mm is not None:
+        strokes_in_jar(motion, cell, demand)
+        return
+    for bed_mg in _beds_mg(demand):
+        _stroke(motion, cell, demand.source, bed_mg)
 
 
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> None:
@@ -197,8 +205,7 @@ def _elsewhere(
         try:
             for name, position_mm in all_places(moved, gone_to, kinds).items():
                 planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
-            for bed_mg in _beds_mg(scooped[0]):  # mostly what fails, and soon known beside all ways between places
-                _stroke(planner, moved, source, bed_mg)
+            _strokes(planner, moved, scooped[0])  # mostly what fails, and soon known beside all ways between places
             _ways(planner, plan, moved, kinds, scooped)
         except MortarCannotBeScooped:
             raise

@@ -60,8 +60,11 @@ ONE_LAYER = 0.94
 
 
 def wall_mm(mortar: Mortar, radius_mm: Floats) -> Floats:
-    """The bowl's height at distances from its middle; that of the edge, outside."""
+    """The bowl's, or the jar's height at distances from its middle; that of the edge, outside."""
     a, h = mortar.bore_mm / 2, mortar.depth_mm
+    if (corner := mortar.corner_mm) is not None:
+        into_mm = np.clip(radius_mm - (a - corner), 0.0, corner)
+        return np.where(radius_mm > a, h, corner - np.sqrt(corner**2 - into_mm**2))
     sphere_mm = max(a, (a * a + h * h) / (2 * h))  # of half a sphere rounding makes less
     height: Floats = sphere_mm - np.sqrt(sphere_mm**2 - np.minimum(radius_mm, a) ** 2)
     return height

@@ -1,0 +1,170 @@
+"""Strokes in beakers and jars: which is made, what it should bring, and what it leaves on the level floor.
+
+A stroke along a heading goes from where the hand can bring the lip down, x0 behind the middle, to where the floor
+ends, f. A rigid rim of radius a touches a level floor in one point; y beside that it is higher, and farther behind, by
+
+    z = (a - sqrt(a^2 - y^2)) cos(alpha - beta),    dx = (a - sqrt(a^2 - y^2)) sin(alpha - beta)
+
+alpha being the cone's half-angle, beta the attack. So along its way, x0 < x < f - dx, a stroke at a gap g leaves
+
+    t <= g + z
+
+and what was thicker it is expected to bring. Whatever lies elsewhere stays: behind its beginning, beside its rim, and
+before the wall. What lies in a jar is as thick everywhere as the strokes that were made let it be, up to one level that
+makes its mass; what has come since the last of them lies evenly on that. The form is ours, and takes powder to stay as
+it was left; what a source really yields of it is learnt from weighing (`cell/believed.py`).
+
+Of a gap of less than a grain, grains jam under the lip, as in a bowl (`strokes.py`). Masses in mg, lengths in mm.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from itertools import count
+
+import numpy as np
+
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, Stroke
+from scuhand_bt.dosing.strokes import (
+    CLOSING_MM,
+    GAP_GRID_MM,
+    GRAINS_CLEAR,
+    GRAINS_LEAST,
+    LITTLE_SHARE,
+    LOOSE_GRAINS,
+    RIM_GRID_MM,
+    THIN_MM,
+    Layer,
+    Pass,
+)
+from scuhand_bt.dosing.swing import stroke_path
+from scuhand_bt.dosing.swing_plane import Floats
+from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.specs import Mortar, Powder
+
+RIM_SHARE = 0.8
+"""Of the bore, or of the flat sheet: the rim that a stroke begins with. A wider one brings more at first, by the height
+field a third in a jar of 95 mm, but the arm makes it in half as many directions, and all together bring less."""
+FOUND_AGAIN = 0.6
+"""Of what strokes after the first meet, the share that they bring: what those before them have pushed ahead and aside
+lies beside them, or before the wall. By the height field 1 to 0.4 of 12 g, and 0.75 to 0.35 of 40 g."""
+LEAST_MG = 100.0
+"""A stroke that should bring less is not made: what is left of a jar lies where no stroke comes."""
+CELL_MM = 2.0
+"""Of the grid on which what lies in a jar is believed."""
+
+
+class JarBed:
+    """What is believed to lie in a beaker or a jar that a sheet of this radius scoops from."""
+
+    def __init__(
+        self, mortar: Mortar, mass_mg: float, powder: Powder, sheet_radius_mm: float, layer: Layer | None = None
+    ) -> None:
+        self.mortar, self.mass_mg, self.powder, self._slant_mm = mortar, mass_mg, powder, sheet_radius_mm
+        half_mm, corner_mm, layer = mortar.bore_mm / 2, corner_of(mortar), layer or Layer(0.0, mass_mg)
+        line_mm = np.arange(CELL_MM / 2 - half_mm, half_mm, CELL_MM)
+        x_mm, y_mm = (axis.ravel() for axis in np.meshgrid(line_mm, line_mm, indexing="ij"))
+        out_mm = np.hypot(x_mm, y_mm)
+        self._x_mm, self._y_mm = x_mm[out_mm < half_mm], y_mm[out_mm < half_mm]
+        into_mm = np.maximum(out_mm[out_mm < half_mm] - (half_mm - corner_mm), 0.0)
+        self._high_mm = corner_mm - np.sqrt(corner_mm**2 - into_mm**2)
+        self._mg_per_mm = powder.bulk_density_mg_per_mm3 * CELL_MM**2
+        came_mm = max(0.0, mass_mg - layer.mass_mg) / (self._mg_per_mm * len(self._high_mm))
+        self._thick_mm = self._level(min(layer.mass_mg, mass_mg), layer.passes) + came_mm
+        self._passes = tuple(replace(one, left_mm=one.left_mm + came_mm) for one in layer.passes)
+
+    def expected_mg(self, stroke: Stroke) -> float:
+        """What a stroke is expected to bring into the cone."""
+        return (FOUND_AGAIN if self._passes else 1.0) * self.most_mg(stroke)
+
+    def most_mg(self, stroke: Stroke) -> float:
+        """What a stroke brings that keeps all that it meets."""
+        above_mm = self._thick_mm - self._most_mm(self._passed(stroke))
+        return self._mg_per_mm * float(np.maximum(above_mm, 0.0).sum())
+
+    def left_by(self, stroke: Stroke) -> Layer:
+        """What a stroke is expected to leave."""
+        others = tuple(one for one in self._passes if one.heading_deg != stroke.heading_deg)
+        passes = (*others, self._passed(stroke))
+        return Layer(stroke.gap_mm, self.mass_mg - self.expected_mg(stroke), passes=passes)
+
+    def chosen(self, wanted_mg: float, heading_deg: float) -> Stroke:
+        """The stroke along a heading that brings so much and no more: as deep as it has to be.
+
+        NoStrokeError where the hand can make none in such a vessel.
+        """
+        _run_mm(self.mortar, self._slant_mm)
+        deepest = replace(along_floor(self.mortar, self._slant_mm), heading_deg=heading_deg)
+        stroke = next(one for one in self._less_and_less(deepest, GRAINS_CLEAR) if self.most_mg(one) <= wanted_mg)
+        if self.most_mg(stroke) < LITTLE_SHARE * min(wanted_mg, self.most_mg(deepest)):
+            thinner = self._less_and_less(deepest, GRAINS_LEAST)
+            stroke = next(one for one in thinner if self.most_mg(one) <= wanted_mg)
+        return stroke
+
+    def _less_and_less(self, deepest: Stroke, grains: float) -> Iterator[Stroke]:
+        """All there is, and layers from so many grains on, up to one that leaves all."""
+        yield deepest
+        for steps in count(math.ceil(grains * self.powder.grain_mm / GAP_GRID_MM)):
+            yield replace(deepest, gap_mm=steps * GAP_GRID_MM)
+
+    def _passed(self, stroke: Stroke) -> Pass:
+        loose_mm = LOOSE_GRAINS * self.powder.grain_mm if stroke.gap_mm > LIP_GAP_MM else 0.0
+        return Pass(stroke.heading_deg, stroke.gap_mm - loose_mm)
+
+    def _level(self, mass_mg: float, passes: tuple[Pass, ...]) -> Floats:
+        """How thick so much lies everywhere: up to one level, and no thicker than strokes have left it."""
+        most_mm = np.full_like(self._high_mm, self.mortar.depth_mm)
+        for one in passes:
+            most_mm = np.minimum(most_mm, self._most_mm(one))
+
+        def thick_mm(level_mm: float) -> Floats:
+            thick_mm: Floats = np.minimum(np.maximum(level_mm - self._high_mm, 0.0), most_mm)
+            return thick_mm
+
+        low_mm, high_mm = 0.0, self.mortar.depth_mm
+        while high_mm - low_mm > THIN_MM:
+            middle_mm = (low_mm + high_mm) / 2
+            if self._mg_per_mm * float(thick_mm(middle_mm).sum()) < mass_mg:
+                low_mm = middle_mm
+            else:
+                high_mm = middle_mm
+        thick = thick_mm(high_mm)
+        return thick * (mass_mg / max(self._mg_per_mm * float(thick.sum()), THIN_MM))
+
+    def _most_mm(self, one: Pass) -> Floats:
+        """How thick a stroke leaves what lies there at most: no end of it where the stroke does not go."""
+        heading, (begin_mm, end_mm) = math.radians(one.heading_deg), _run_mm(self.mortar, self._slant_mm)
+        along_mm = self._x_mm * math.cos(heading) + self._y_mm * math.sin(heading)
+        aside_mm = self._y_mm * math.cos(heading) - self._x_mm * math.sin(heading)
+        stroke = along_floor(self.mortar, self._slant_mm)
+        share = np.clip((along_mm - stroke.begin_mm) / (stroke.end_mm - stroke.begin_mm), 0.0, 1.0)
+        rim_mm = (stroke.open_mm + (stroke.closed_mm - stroke.open_mm) * share) / 2
+        leans = np.arcsin(rim_mm / self._slant_mm) - math.radians(stroke.attack_deg)
+        off_mm = rim_mm - np.sqrt(np.maximum(rim_mm**2 - aside_mm**2, 0.0))
+        goes = (np.abs(aside_mm) < rim_mm) & (along_mm > begin_mm) & (along_mm < end_mm - off_mm * np.sin(leans))
+        most_mm: Floats = np.where(goes, one.left_mm + off_mm * np.cos(leans), math.inf)
+        return most_mm
+
+
+def along_floor(mortar: Mortar, sheet_radius_mm: float) -> Stroke:
+    """The stroke that takes all that is on its way along a jar's floor, as far as that goes."""
+    widest_mm = RIM_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
+    open_mm, closed_mm = (RIM_GRID_MM * round(rim_mm / RIM_GRID_MM) for rim_mm in (widest_mm, widest_mm - CLOSING_MM))
+    floor_mm = mortar.bore_mm / 2 - corner_of(mortar)
+    return Stroke(open_mm, closed_mm, -floor_mm, end_mm=floor_mm)
+
+
+def corner_of(jar: Mortar) -> float:
+    """ValueError for a bowl."""
+    if jar.corner_mm is None:
+        raise ValueError(f"'{jar.name}' is a bowl")
+    return jar.corner_mm
+
+
+@lru_cache(maxsize=64)
+def _run_mm(mortar: Mortar, sheet_radius_mm: float) -> tuple[float, float]:
+    """From where to where the lip goes along the floor; NoStrokeError where it cannot."""
+    path = stroke_path(Vessel.of(mortar), along_floor(mortar, sheet_radius_mm), Ladle(sheet_radius_mm))
+    lips_mm = path.lip_mm[path.on_wall, 0]
+    return float(lips_mm[0]), float(lips_mm[-1])
