@@ -94,7 +94,13 @@ def load_vessels(path: Path, problems: Problems, broken: Broken) -> tuple[dict[s
     for name, container in found.items():
         _check_size(container, containers, name, problems)
     bowls = {} if mortars is None else load_entries(Mortar, path, problems, broken, "mortar", mortars)
-    for name, mortar in bowls.items():
+    for name, mortar in list(bowls.items()):
+        if mortar.corner_mm is None and (empty := _mark_of(mortars, name, "corner")) is not None:
+            of_entry = Problems()
+            of_entry.add(empty, "'corner' is empty", "a radius, as 5 mm; a bowl has no corner", code="bad-value")
+            problems.found += of_entry.found
+            broken.add("mortar", name, of_entry.found)
+            del bowls[name]
         if mortar.bore_mm >= mortar.outer_diameter_mm:
             what = (
                 f"the bore of '{name}', {mortar.bore_mm:g} mm, is as wide as all of it, {mortar.outer_diameter_mm:g} mm"
@@ -123,8 +129,14 @@ def _check_size(container: ContainerKind, node: Node | None, name: str, problems
 def _mark_in(node: Node | None, name: str, key: str) -> Mark:
     """Where a value of a named entry stands, else the entry's own place."""
     assert isinstance(node, Entries)
+    return _mark_of(node, name, key) or node.values[name].mark
+
+
+def _mark_of(node: Node | None, name: str, key: str) -> Mark | None:
+    """Where a value of a named entry stands, if it is there."""
+    assert isinstance(node, Entries)
     entry = node.values[name]
-    return entry.values[key].mark if isinstance(entry, Entries) and key in entry.values else entry.mark
+    return entry.values[key].mark if isinstance(entry, Entries) and key in entry.values else None
 
 
 def load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:

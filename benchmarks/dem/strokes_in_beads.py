@@ -5,7 +5,8 @@
 It runs in the system's Python, under Debian's `yade`, and knows nothing of this package: the case is all that it gets.
 
     CASE    mortar {bore_mm, depth_mm, corner_mm (of a jar)}, fill_mg, grain {radius_mm, density_mg_per_mm3},
-            friction_deg, wall_friction_deg, sheet_radius_mm, strokes [{times_s, apex_mm, axis, rim_mm}], picture_times_s (of the first stroke)
+            friction_deg, wall_friction_deg, sheet_radius_mm, strokes [{times_s, apex_mm, axis, rim_mm}],
+            picture_times_s (of the first stroke)
     RESULT  fill_mg, cpu_s, strokes [{collected_mg, left_mg, spilled_mg}],
             pictures [{time_s, apex_mm, axis, rim_mm, grains_mm}]
 

@@ -18,14 +18,14 @@ Of a gap of less than a grain, grains jam under the lip, as in a bowl (`strokes.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import count
 
 import numpy as np
 
-from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, Stroke
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import (
     CLOSING_MM,
     GAP_GRID_MM,
@@ -51,6 +51,8 @@ FOUND_AGAIN = 0.6
 lies beside them, or before the wall. By the height field 1 to 0.4 of 12 g, and 0.75 to 0.35 of 40 g."""
 LEAST_MG = 100.0
 """A stroke that should bring less is not made: what is left of a jar lies where no stroke comes."""
+WIDEST_MM, SIZES_MM = 150.0, 5.0
+"""What would do in place of a jar that no stroke can be made in is looked for in such steps."""
 CELL_MM = 2.0
 """Of the grid on which what lies in a jar is believed."""
 
@@ -72,6 +74,7 @@ class JarBed:
         self._mg_per_mm = powder.bulk_density_mg_per_mm3 * CELL_MM**2
         came_mm = max(0.0, mass_mg - layer.mass_mg) / (self._mg_per_mm * len(self._high_mm))
         self._thick_mm = self._level(min(layer.mass_mg, mass_mg), layer.passes) + came_mm
+        self.missed_mg = min(layer.missed_mg, mass_mg)
         self._passes = tuple(replace(one, left_mm=one.left_mm + came_mm) for one in layer.passes)
 
     def expected_mg(self, stroke: Stroke) -> float:
@@ -92,9 +95,10 @@ class JarBed:
     def chosen(self, wanted_mg: float, heading_deg: float) -> Stroke:
         """The stroke along a heading that brings so much and no more: as deep as it has to be.
 
-        NoStrokeError where the hand can make none in such a vessel.
+        NoStrokeError where the hand can make none in such a vessel, with one of which it could.
         """
-        _run_mm(self.mortar, self._slant_mm)
+        if not has_way(self.mortar, self._slant_mm):
+            raise _no_way(self.mortar, self._slant_mm)
         deepest = replace(along_floor(self.mortar, self._slant_mm), heading_deg=heading_deg)
         stroke = next(one for one in self._less_and_less(deepest, GRAINS_CLEAR) if self.most_mg(one) <= wanted_mg)
         if self.most_mg(stroke) < LITTLE_SHARE * min(wanted_mg, self.most_mg(deepest)):
@@ -153,6 +157,31 @@ def along_floor(mortar: Mortar, sheet_radius_mm: float) -> Stroke:
     open_mm, closed_mm = (RIM_GRID_MM * round(rim_mm / RIM_GRID_MM) for rim_mm in (widest_mm, widest_mm - CLOSING_MM))
     floor_mm = mortar.bore_mm / 2 - corner_of(mortar)
     return Stroke(open_mm, closed_mm, -floor_mm, end_mm=floor_mm)
+
+
+def has_way(mortar: Mortar, sheet_radius_mm: float) -> bool:
+    """Whether the hand can bring the lip along a jar's floor, whatever the arm can."""
+    try:
+        _run_mm(mortar, sheet_radius_mm)
+    except NoStrokeError:
+        return False
+    return True
+
+
+def _no_way(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
+    def first(sizes: Iterable[dict[str, float]]) -> dict[str, float]:
+        return next((size for size in sizes if has_way(mortar.model_copy(update=size), sheet_radius_mm)), {})
+
+    bores_mm = np.arange(mortar.bore_mm, WIDEST_MM, SIZES_MM) + SIZES_MM
+    depths_mm = np.arange(mortar.depth_mm, corner_of(mortar) + SIZES_MM, -SIZES_MM) - SIZES_MM
+    wider = first({"bore_mm": bore, "outer_diameter_mm": bore} for bore in bores_mm.tolist())
+    lower = first({"depth_mm": depth} for depth in depths_mm.tolist())
+    would = [f"a bore of {wider['bore_mm']:g} mm"] if wider else []
+    would += [f"a depth of {lower['depth_mm']:g} mm"] if lower else []
+    return NoStrokeError(
+        f"with a sheet of {sheet_radius_mm:g} mm the hand has no way along the floor of a jar of {mortar.bore_mm:g} mm "
+        f"bore and {mortar.depth_mm:g} mm depth without touching its wall; {' or '.join(would) or 'a mortar'} would do"
+    )
 
 
 def corner_of(jar: Mortar) -> float:
