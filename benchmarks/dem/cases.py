@@ -5,6 +5,7 @@ is told how coarse the beads are; such that leave a layer, of smaller beads, eac
 powder that the skill is told of; and the stroke of the first version, which lifts nothing.
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 from contextlib import suppress
@@ -16,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scuhand_bt.cell.scooping import planned_stroke
+from scuhand_bt.dosing.beds import bed_in, expected_mg, layer_left, strokes_in
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, Stroke
-from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, chosen, expected_mg, layer_left
+from scuhand_bt.dosing.strokes import GRAINS_CLEAR
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
@@ -39,7 +41,21 @@ MORTARS = (
     Mortar(name="agate_mortar", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer_diameter_mm=115.0),
     Mortar(name="small_agate_mortar", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0),
 )
-STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"}
+JARS = tuple(
+    Mortar(
+        name=f"jar_{bore_mm:g}",
+        bore_mm=bore_mm,
+        depth_mm=40.0,
+        height_mm=55.0,
+        outer_diameter_mm=bore_mm + 8.0,
+        corner_mm=5.0,
+    )
+    for bore_mm in (95.0, 110.0)
+)
+JAR_FILLS_MG = (12_000.0, 40_000.0)
+STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"} | {
+    one.name: "mortar_bay" for one in JARS
+}
 FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (1000.0, 2000.0, 3000.0)}
 """Of what the skill scoops at once: of more in the small mortar it leaves a layer, thinner than these grains."""
 REPOSE_DEG = {25.0: 22.0, 37.0: 25.0}
@@ -99,7 +115,9 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The control, all at once, the twelve of the height field, and those that leave a layer: loads as the skill's."""
+    """The control, all at once, the twelve of the height field, those that leave a layer, and two strokes to and fro in
+    jars: loads as the skill's.
+    """
     agate, small = MORTARS
     beads = FRICTIONS_DEG[0]
     yield Case("upright control", agate, 12_000.0, *beads, (upright(agate),), (0.05, 1.0, 2.0, 3.0))
@@ -119,6 +137,11 @@ def cases() -> Iterator[Case]:
     ):
         gap_mm, strokes = lip_led(mortar, fill_mg, wanted_mg, beads, grain_mm / GRAINS_CLEAR, count)
         yield Case(name, mortar, fill_mg, *beads, strokes, grain_mm=grain_mm, gap_mm=gap_mm)
+    for jar, fill_mg in itertools.product(JARS, JAR_FILLS_MG):
+        gap_mm, strokes = lip_led(jar, fill_mg, LOAD_MG, beads, GRAIN_MM, 2)
+        is_shown = jar is JARS[0] and fill_mg == JAR_FILLS_MG[0]
+        shown_s = moments(strokes[0]) if is_shown else ()
+        yield Case(f"{jar.name}, {fill_mg / 1000:g} g", jar, fill_mg, *beads, strokes, shown_s, gap_mm=gap_mm)
 
 
 def lip_led(
@@ -136,13 +159,13 @@ def lip_led(
     layer, left_mg, gaps_mm, ways = None, fill_mg, list[float](), list[Way]()
     headings_deg = iter(HEADINGS_DEG)
     for _ in range(count):
-        bed = Bed(mortar, left_mg, powder(friction_deg, grain_mm), layer)
-        stroke = chosen(bed, SLANT_MM, wanted_mg)
-        gaps_mm.append(stroke.gap_mm)
+        bed = bed_in(mortar, left_mg, powder(friction_deg, grain_mm), SLANT_MM, layer)
         for heading_deg in headings_deg:
+            (stroke,) = strokes_in(bed, SLANT_MM, wanted_mg, [heading_deg])
             with suppress(SkillFailed):
                 ways.append(_planned(mortar, stroke, heading_deg, heading_deg - HEADINGS_DEG[0]))
                 break
+        gaps_mm.append(stroke.gap_mm)
         left_mg -= expected_mg(stroke, bed, SLANT_MM)
         layer = layer_left(stroke, bed, SLANT_MM)
     return gaps_mm[0], tuple(ways)

@@ -1,0 +1,171 @@
+"""Strokes in beakers and jars: what they should bring, held against the height field, and what is left for the next."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dose_bench import shipped_powders
+
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.dosing.jars import JarBed, along_floor, has_way
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
+from scuhand_bt.dosing.swing import stroke_path
+from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.motion.cell_solids import hollow_mortar
+from scuhand_bt.sim.bed import HeightField
+from scuhand_bt.specs import Mortar, Powder
+
+POWDERS = shipped_powders()
+BEADS, MSG = POWDERS["glass_beads"], POWDERS["monosodium_glutamate"]
+SHEET_MM = 50.0
+LOAD_MG = 4750.0
+HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0)
+
+
+def jar(bore_mm: float = 95.0, depth_mm: float = 40.0) -> Mortar:
+    return Mortar(
+        name="jar",
+        bore_mm=bore_mm,
+        depth_mm=depth_mm,
+        height_mm=depth_mm + 15.0,
+        outer_diameter_mm=bore_mm + 8.0,
+        corner_mm=5.0,
+    )
+
+
+def bed_in(vessel: Mortar, mass_mg: float, powder: Powder = BEADS) -> JarBed:
+    return JarBed(vessel, mass_mg, powder, SHEET_MM)
+
+
+def brought_mg(vessel: Mortar, powder: Powder, fill_mg: float, strokes: Sequence[Stroke]) -> list[float]:
+    """What strokes collect one after another, by the height field."""
+    field, there_mg, brought = HeightField(vessel, powder), fill_mg, list[float]()
+    for stroke in strokes:
+        path, in_cone_mg = stroke_path(Vessel.of(vessel), stroke, Ladle()), 0.0
+        for apex_mm, axis, rim_mm in zip(path.apex_mm, path.axis, path.rim_mm, strict=True):
+            gained_mg, lost_mg = field.move(apex_mm, axis, float(rim_mm), there_mg, in_cone_mg)
+            in_cone_mg += gained_mg
+            there_mg -= gained_mg + lost_mg
+            assert lost_mg < 1e-6, "nothing goes over a jar's edge"
+        field.leave()
+        brought.append(in_cone_mg)
+    return brought
+
+
+@pytest.mark.parametrize(
+    ("bore_mm", "depth_mm", "corner_mm"), [(95.0, 40.0, 5.0), (110.0, 25.0, 25.0), (60.0, 50.0, 30.0)]
+)
+def test_a_jar_holds_what_its_profile_encloses(bore_mm: float, depth_mm: float, corner_mm: float) -> None:
+    vessel = jar(bore_mm, depth_mm).model_copy(update={"corner_mm": corner_mm})
+    profile = Vessel.of(vessel)
+    out_mm, high_mm, _ = profile.wall(np.linspace(0.0, profile.to_edge_mm, 20_000))
+    enclosed_mm3 = math.pi * float(((out_mm[1:] + out_mm[:-1]) / 2) ** 2 @ np.diff(high_mm))
+    assert vessel.capacity_mm3 == pytest.approx(enclosed_mm3, rel=1e-3)
+    assert (out_mm[-1], high_mm[-1]) == pytest.approx((bore_mm / 2, depth_mm))
+
+
+@pytest.mark.parametrize(
+    ("vessel", "powder", "fill_mg", "share"),
+    [
+        (jar(), BEADS, 12_000.0, (0.85, 1.15)),
+        (jar(80.0, 30.0), BEADS, 12_000.0, (0.6, 1.0)),
+        pytest.param(jar(), MSG, 40_000.0, (0.65, 1.0), marks=pytest.mark.slow),
+        pytest.param(jar(110.0), MSG, 12_000.0, (0.95, 1.3), marks=pytest.mark.slow),
+    ],
+    ids=["12 g", "narrow", "40 g", "wide"],
+)
+def test_a_first_stroke_brings_about_what_it_should_by_the_height_field(
+    vessel: Mortar, powder: Powder, fill_mg: float, share: tuple[float, float]
+) -> None:
+    bed = bed_in(vessel, fill_mg, powder)
+    stroke = bed.chosen(LOAD_MG, 90.0)
+    (came_mg,) = brought_mg(vessel, powder, fill_mg, [stroke])
+    assert share[0] < came_mg / bed.expected_mg(stroke) < share[1]
+    assert came_mg < powder.load_limit_mg
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("powder", [BEADS, MSG], ids=["beads", "msg"])
+def test_what_no_stroke_reaches_is_known_to_be_left(powder: Powder) -> None:
+    vessel, fill_mg, layer, there_mg, strokes = jar(), 12_000.0, None, 12_000.0, list[Stroke]()
+    expected_mg = 0.0
+    while True:
+        bed = JarBed(vessel, there_mg, powder, SHEET_MM, layer)
+        stroke = max((bed.chosen(LOAD_MG, heading_deg) for heading_deg in HEADINGS_DEG), key=bed.expected_mg)
+        if bed.expected_mg(stroke) < 100.0:
+            break
+        strokes.append(stroke)
+        expected_mg, layer = expected_mg + bed.expected_mg(stroke), bed.left_by(stroke)
+        there_mg -= bed.expected_mg(stroke)
+    came_mg = sum(brought_mg(vessel, powder, fill_mg, strokes))
+    assert len(strokes) >= len(HEADINGS_DEG)
+    assert 0.75 * expected_mg < came_mg < 1.5 * expected_mg
+    assert came_mg < 0.5 * fill_mg, "a rigid rim leaves most of a thin layer"
+
+
+def test_a_stroke_where_one_was_made_brings_next_to_nothing_and_one_across_it_less() -> None:
+    bed = bed_in(jar(), 12_000.0)
+    first, across = (bed.chosen(LOAD_MG, heading_deg) for heading_deg in (90.0, 150.0))
+    then = JarBed(jar(), 12_000.0 - bed.expected_mg(first), BEADS, SHEET_MM, bed.left_by(first))
+    assert then.expected_mg(first) < 0.02 * bed.expected_mg(first)
+    assert 0.2 * bed.expected_mg(across) < then.expected_mg(across) < 0.8 * bed.expected_mg(across)
+
+
+def test_what_is_filled_in_is_there_for_the_next_strokes_and_for_those_after_them() -> None:
+    bed = bed_in(jar(), 12_000.0)
+    there, across = (replace(along_floor(jar(), SHEET_MM), heading_deg=heading_deg) for heading_deg in (90.0, 180.0))
+    left = bed.left_by(there)
+    filled = JarBed(jar(), left.mass_mg + 10_000.0, BEADS, SHEET_MM, left)
+    assert filled.expected_mg(there) > 0.3 * bed.expected_mg(there)
+    later = filled.left_by(across)
+    assert JarBed(jar(), later.mass_mg, BEADS, SHEET_MM, later).expected_mg(there) > 0.1 * bed.expected_mg(there)
+
+
+@pytest.mark.parametrize("wanted_mg", [300.0, 1000.0, 4750.0])
+@pytest.mark.parametrize("fill_mg", [500.0, 12_000.0, 120_000.0])
+def test_no_more_is_met_than_is_wanted_and_a_layer_is_several_grains(wanted_mg: float, fill_mg: float) -> None:
+    bed = bed_in(jar(), fill_mg)
+    stroke = bed.chosen(wanted_mg, 30.0)
+    assert bed.most_mg(stroke) <= wanted_mg
+    assert stroke.heading_deg == 30.0
+    assert stroke.gap_mm == LIP_GAP_MM or stroke.gap_mm >= BEADS.grain_mm
+    if stroke.gap_mm > 1.0:
+        assert bed.most_mg(replace(stroke, gap_mm=stroke.gap_mm - 0.5)) > wanted_mg, "a deeper one brings too much"
+
+
+@pytest.mark.parametrize("vessel", [jar(60.0), jar(95.0, 100.0)], ids=["narrow", "deep"])
+def test_a_jar_that_the_hand_has_no_way_in_is_refused_with_what_would_do(vessel: Mortar) -> None:
+    with pytest.raises(
+        NoStrokeError, match=r"no way along the floor .*; a bore of (\d+) mm or a depth of (\d+) mm"
+    ) as no:
+        bed_in(vessel, 12_000.0).chosen(LOAD_MG, 0.0)
+    bore_mm, depth_mm = (float(part.split()[0]) for part in str(no.value).split(" of ")[-2:])
+    assert has_way(jar(bore_mm, vessel.depth_mm), SHEET_MM)
+    assert has_way(jar(vessel.bore_mm, depth_mm), SHEET_MM)
+
+
+def test_the_lip_stays_on_the_floor_and_nothing_else_comes_to_the_wall() -> None:
+    for vessel in (jar(), jar(110.0, 50.0), jar(80.0, 30.0)):
+        path, profile = stroke_path(Vessel.of(vessel), along_floor(vessel, SHEET_MM), Ladle()), Vessel.of(vessel)
+        np.testing.assert_allclose(path.lip_mm[path.on_wall, 2], LIP_GAP_MM, atol=1e-6)
+        assert np.abs(path.lip_mm[path.on_wall, 0]).max() <= profile.floor_mm + 1e-6
+        assert profile.clearance_mm(path.apex_mm).min() >= 3.0
+
+
+def test_a_hollow_jar_is_free_inside_and_solid_in_its_wall() -> None:
+    vessel = jar()
+    station = Station(name="bay", kind="mortar", position_mm=(200.0, 240.0, 0.0))
+    walls = [one for one in hollow_mortar(station, vessel) if one.box_m is not None]
+    for radius_mm, high_mm, is_solid in (
+        (40.0, 0.5, False),
+        (46.0, 22.0, False),
+        (49.0, 22.0, True),
+        (47.0, 1.0, True),
+    ):
+        at_m = np.array([0.2 + radius_mm / 1e3, 0.24, (15.0 + high_mm) / 1e3])
+        inside = [
+            np.all(np.abs(at_m - one.centre_m) < np.array(one.box_m) / 2) for one in walls if abs(one.yaw_rad) < 1e-9
+        ]
+        assert any(inside) == is_solid, (radius_mm, high_mm)
