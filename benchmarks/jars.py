@@ -4,15 +4,12 @@
 
 For each bore, powder, end of the stroke and over-travel eight strokes, turned from one to the next. A lip that goes
 beyond the floor lies on it along a chord, as the sheet bends up; the force is the skill's estimate. Geometry alone: no
-arm. The floor's profile is the benchmark's own, as the height field's is its own beside the stroke's
-(`scuhand_bt/dosing/vessel.py`).
+arm, in all directions. The height field's profile is its own beside the stroke's (`scuhand_bt/dosing/vessel.py`).
 """
 
 import itertools
 import math
 from dataclasses import dataclass
-
-import numpy as np
 
 from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.sheet import lip_force_n
@@ -33,17 +30,6 @@ ENDS = ("edge", "floor")
 TURNS_DEG = (0.0, 180.0, 90.0, 270.0, 45.0, 225.0, 135.0, 315.0)
 BEGINS = (0.75, 0.6, 0.45, 0.3, 0.15)
 """Of the way from the middle to the edge, where the lip meets the floor; the first with which there is a stroke."""
-
-
-class JarField(HeightField):
-    """The height field over a level floor with a rounded corner."""
-
-    def __init__(self, mortar: Mortar, powder: Powder) -> None:
-        super().__init__(mortar, powder)
-        radius_mm = np.minimum(np.hypot(self._x, self._y), mortar.bore_mm / 2)
-        into_mm = np.clip(radius_mm - (mortar.bore_mm / 2 - CORNER_MM), 0.0, CORNER_MM)
-        self._wall = CORNER_MM - np.sqrt(CORNER_MM**2 - into_mm**2)
-        self._wall[self._outside] = mortar.depth_mm
 
 
 @dataclass
@@ -80,11 +66,16 @@ def path_of(vessel: Vessel, kind: Kind, heading_deg: float) -> StrokePath | None
 def collected(bore_mm: float, powder: Powder, kind: Kind, turns_deg: tuple[float, ...]) -> Collected | None:
     """Strokes of a kind through a full jar; None where there is none."""
     outer_mm = bore_mm + 2 * THICK_MM
-    vessel = Vessel.cylinder(bore_mm, DEPTH_MM, outer_mm, CORNER_MM)
-    jar = Mortar.model_construct(
-        name="jar", bore_mm=bore_mm, depth_mm=DEPTH_MM, height_mm=DEPTH_MM + THICK_MM, outer_diameter_mm=outer_mm
+    jar = Mortar(
+        name="jar",
+        bore_mm=bore_mm,
+        depth_mm=DEPTH_MM,
+        height_mm=DEPTH_MM + THICK_MM,
+        outer_diameter_mm=outer_mm,
+        corner_mm=CORNER_MM,
     )
-    field, there_mg, came = JarField(jar, powder), FILL_MG, Collected([])
+    vessel = Vessel.of(jar)
+    field, there_mg, came = HeightField(jar, powder), FILL_MG, Collected([])
     for turn_deg in turns_deg:
         path = path_of(vessel, kind, turn_deg)
         if path is None:

@@ -101,8 +101,8 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "More powder, `refill`, or `leftover: keep` or `return`; `plan` shows by dry runs what is discarded.",
         ),
         "poor-strokes": _warning(
-            "A bowl is so small, or so shallow, for the sheet and the powder that doses take several scoops each.",
-            "A deeper mortar, or a larger one.",
+            "A bowl is so small, or so shallow, or a jar holds so little, that doses take several scoops each.",
+            "A deeper mortar, or a larger one; in a jar more powder.",
         ),
         "source-lent": _warning(
             "A source holds what its samples need, but not what others of its lot may take, as it is kept in the cone.",

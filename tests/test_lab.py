@@ -89,6 +89,10 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
         ("containers", "mortars:", "mortar:", "robot/containers.yaml:2:1: 'mortars' is missing"),
         ("containers", "mortars:", "mortar:", "unknown key 'mortar'"),
         ("containers", "depth: 30 mm", "depth: 60 mm", "its depth is at most half its bore"),
+        ("containers", "depth: 30 mm", "depth: 60 mm", "a beaker or a jar has a 'corner'"),
+        ("containers", "depth: 30 mm", "depth: 30 mm\n    corner: 31 mm", "at most the depth, and half the bore"),
+        ("containers", "depth: 30 mm", "depth: 30 mm\n    corner: 0 mm", "39:13: 'corner': '0 mm' is not accepted"),
+        ("containers", "depth: 30 mm", "depth: 30 mm\n    corner:", "39:12: 'corner' is empty"),
         ("containers", "capacity: 4 cm^3", "capacity: 4 cm^2", "'cm^2' is no unit of volume"),
     ],
 )

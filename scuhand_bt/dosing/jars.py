@@ -11,8 +11,9 @@ alpha being the cone's half-angle, beta the attack. So along its way, x0 < x < f
 
 and what was thicker it is expected to bring. Whatever lies elsewhere stays: behind its beginning, beside its rim, and
 before the wall. What lies in a jar is as thick everywhere as the strokes that were made let it be, up to one level that
-makes its mass; what has come since the last of them lies evenly on that. The form is ours, and takes powder to stay as
-it was left; what a source really yields of it is learnt from weighing (`cell/believed.py`).
+makes its mass; what has come since the last of them, as the rest of a load that is poured back, lies on that as a heap
+in the middle, where all strokes go. The form is ours, and takes powder to stay as it was left; what a source really
+yields of it is learnt from weighing (`cell/believed.py`).
 
 Of a gap of less than a grain, grains jam under the lip, as in a bowl (`strokes.py`). Masses in mg, lengths in mm.
 """
@@ -72,24 +73,27 @@ class JarBed:
         into_mm = np.maximum(out_mm[out_mm < half_mm] - (half_mm - corner_mm), 0.0)
         self._high_mm = corner_mm - np.sqrt(corner_mm**2 - into_mm**2)
         self._mg_per_mm = powder.bulk_density_mg_per_mm3 * CELL_MM**2
-        came_mm = max(0.0, mass_mg - layer.mass_mg) / (self._mg_per_mm * len(self._high_mm))
-        self._thick_mm = self._level(min(layer.mass_mg, mass_mg), layer.passes) + came_mm
         self.missed_mg = min(layer.missed_mg, mass_mg)
-        self._passes = tuple(replace(one, left_mm=one.left_mm + came_mm) for one in layer.passes)
+        self._passes, self._came_mg = layer.passes, max(0.0, mass_mg - layer.mass_mg)
+        self._left_mm = self._level(min(layer.mass_mg, mass_mg))
+        self._thick_mm = self._left_mm + self._heap(np.hypot(self._x_mm, self._y_mm))
 
     def expected_mg(self, stroke: Stroke) -> float:
         """What a stroke is expected to bring into the cone."""
-        return (FOUND_AGAIN if self._passes else 1.0) * self.most_mg(stroke)
+        of_heap_mg = self._of_heap_mg(stroke)
+        found = FOUND_AGAIN if self._passes else 1.0
+        return found * (self.most_mg(stroke) - of_heap_mg) + of_heap_mg
 
     def most_mg(self, stroke: Stroke) -> float:
         """What a stroke brings that keeps all that it meets."""
-        above_mm = self._thick_mm - self._most_mm(self._passed(stroke))
-        return self._mg_per_mm * float(np.maximum(above_mm, 0.0).sum())
+        return self._above_mg(self._thick_mm, stroke)
 
     def left_by(self, stroke: Stroke) -> Layer:
         """What a stroke is expected to leave."""
-        others = tuple(one for one in self._passes if one.heading_deg != stroke.heading_deg)
-        passes = (*others, self._passed(stroke))
+        over_mm = (self._came_mg - self._of_heap_mg(stroke)) / (self._mg_per_mm * len(self._high_mm))
+        others = [one for one in self._passes if one.heading_deg != stroke.heading_deg]
+        raised = (replace(one, left_mm=one.left_mm + over_mm) for one in others)
+        passes = (*raised, self._passed(stroke))
         return Layer(stroke.gap_mm, self.mass_mg - self.expected_mg(stroke), passes=passes)
 
     def chosen(self, wanted_mg: float, heading_deg: float) -> Stroke:
@@ -116,10 +120,24 @@ class JarBed:
         loose_mm = LOOSE_GRAINS * self.powder.grain_mm if stroke.gap_mm > LIP_GAP_MM else 0.0
         return Pass(stroke.heading_deg, stroke.gap_mm - loose_mm)
 
-    def _level(self, mass_mg: float, passes: tuple[Pass, ...]) -> Floats:
+    def _of_heap_mg(self, stroke: Stroke) -> float:
+        """What it meets of the heap in the middle."""
+        return self.most_mg(stroke) - self._above_mg(self._left_mm, stroke)
+
+    def _above_mg(self, thick_mm: Floats, stroke: Stroke) -> float:
+        return self._mg_per_mm * float(np.maximum(thick_mm - self._most_mm(self._passed(stroke)), 0.0).sum())
+
+    def _heap(self, out_mm: Floats) -> Floats:
+        """How thick lies what has come since, poured onto the middle, as steep as its repose."""
+        steep = math.tan(math.radians(self.powder.repose_deg))
+        high_mm = math.cbrt(3 * steep**2 * self._came_mg / self.powder.bulk_density_mg_per_mm3 / math.pi)
+        thick_mm: Floats = np.maximum(high_mm - steep * out_mm, 0.0)
+        return thick_mm * (self._came_mg / max(self._mg_per_mm * float(thick_mm.sum()), THIN_MM))
+
+    def _level(self, mass_mg: float) -> Floats:
         """How thick so much lies everywhere: up to one level, and no thicker than strokes have left it."""
         most_mm = np.full_like(self._high_mm, self.mortar.depth_mm)
-        for one in passes:
+        for one in self._passes:
             most_mm = np.minimum(most_mm, self._most_mm(one))
 
         def thick_mm(level_mm: float) -> Floats:

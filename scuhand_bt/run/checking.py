@@ -147,11 +147,11 @@ def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
         largest_mg = max(needed_mg(sample, source) for sample in plan.recipe.samples)
         if (brings_mg := poor_first_mg(lab.cell, source, largest_mg)) is not None:
             amount = format_mass(source.amount_mg)
-            what = (
-                f"of {amount} of {source.powder.name} the first stroke in this bowl brings {format_mass(brings_mg)}, "
-            )
-            what += "and later ones less: doses take several scoops each, the last ones many, and not all may be good"
-            remedy = "a deeper mortar, or a larger one"
+            is_jar = source.mortar.corner_mm is not None
+            first = f"the first stroke in this {'jar' if is_jar else 'bowl'} brings {format_mass(brings_mg)}"
+            what = f"of {amount} of {source.powder.name} {first}, and later ones less: "
+            what += "doses take several scoops each, the last ones many, and not all may be good"
+            remedy = "more of it, or a mortar" if is_jar else "a deeper mortar, or a larger one"
             problems.warn(plan.recipe.marks[f"sources.{source.name}"], what, remedy, code="poor-strokes")
 
 

@@ -113,29 +113,29 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
     SkillFailed arm.* where the arm can make none; MortarCannotBeScooped where all that it can make bring less.
     """
     source, slant_mm = demand.source, cell.hand.sheet_radius_mm
-    bed_mg, layer, why = source.amount_mg, None, ""
-    can, enough_mg = dict[float, bool](), demand.needed_mg / SURE_SHARE
+    bed_mg, layer, enough_mg = source.amount_mg, None, demand.needed_mg / SURE_SHARE
+    everywhere_deg = list(headings_deg(cell, source.station))
+    why_not = dict[float, str]()
     while (brought_mg := source.amount_mg - bed_mg) < enough_mg:
         bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm, layer)
         wanted_mg = LOAD_AIM * source.powder.load_limit_mg
-        for stroke in strokes_in(bed, slant_mm, wanted_mg, list(headings_deg(cell, source.station))):
+        for stroke in strokes_in(bed, slant_mm, wanted_mg, everywhere_deg):
             if expected_mg(stroke, bed, slant_mm) < min(LEAST_MG, enough_mg - brought_mg):
                 continue
-            if stroke.heading_deg not in can:
+            if stroke.heading_deg not in why_not:
+                why_not[stroke.heading_deg] = ""
                 try:
                     swing_and_out(motion, cell, source, stroke)
                 except (NoStrokeError, SkillFailed) as error:
-                    why = why or str(error)
-                    can[stroke.heading_deg] = False
-                else:
-                    can[stroke.heading_deg] = True
-            if can[stroke.heading_deg]:
+                    why_not[stroke.heading_deg] = str(error)
+            if not why_not[stroke.heading_deg]:
                 bed_mg -= expected_mg(stroke, bed, slant_mm)
                 layer = layer_left(stroke, bed, slant_mm)
                 break
         else:
             break
-    if not any(can.values()):
+    if why_not and all(why_not.values()):
+        why = next(filter(None, map(why_not.get, everywhere_deg)), "")
         raise SkillFailed(Code.ARM_NO_PATH, f"at '{source.station}' no stroke is possible in any direction: {why}")
     if brought_mg < enough_mg:
         of = f"of {format_mass(source.amount_mg)} in this jar the strokes that the arm can make at '{source.station}'"

@@ -1,0 +1,112 @@
+"""A beaker or a jar as a source, from its file to its doses: what check says of it, and what a run does."""
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from conftest import LabFolder, read
+from running import Ran, dry_run, make_lab
+from test_poor_scoops import PoorScoops
+
+from scuhand_bt.lab import read_lab
+from scuhand_bt.problems import Problem
+from scuhand_bt.run.checking import check
+
+JAR = "  jar: {bore: BORE mm, depth: DEPTH mm, height: HEIGHT mm, outer_diameter: 120 mm, corner: 5 mm}\n"
+RECIPE = """
+recipe: jar
+workflow: scoop_and_dispense
+sources:
+  msg: {station: mortar_bay, container: jar, powder: monosodium_glutamate, amount: AMOUNT g, lot: L-1}
+defaults: {container: pellet_die_13mm, tolerance: 5 mg}
+samples:
+"""
+
+
+class HalfScoops(PoorScoops):
+    """A plant whose scoops bring half of what they should."""
+
+    share = 0.5
+
+
+def recipe(masses_mg: list[float], amount_g: float = 12.0) -> str:
+    samples = "".join(f"  - {{id: s{n}, source: msg, mass: {mass:g} mg}}\n" for n, mass in enumerate(masses_mg))
+    return RECIPE.replace("AMOUNT", f"{amount_g:g}") + samples
+
+
+def jar(bore_mm: float = 95.0, depth_mm: float = 40.0, floor_mm: float = 15.0) -> str:
+    sizes = {"BORE": bore_mm, "DEPTH": depth_mm, "HEIGHT": depth_mm + floor_mm}
+    return re.sub("BORE|DEPTH|HEIGHT", lambda found: f"{sizes[found[0]]:g}", JAR)
+
+
+def dosed(tmp_path: Path, text: str, plant: str | None = None) -> Ran:
+    lab = make_lab(tmp_path / "lab")
+    kinds = lab / "robot" / "containers.yaml"
+    kinds.write_text(kinds.read_text() + jar())
+    return dry_run(tmp_path, text, lab=lab, controller="adaptive", plant=plant)
+
+
+def failures(ran: Ran) -> Counter[str]:
+    return Counter(row["code"] for row in read(ran.journal, "action") if row["outcome"] == "failed")
+
+
+def found(lab_folder: LabFolder, kind: str, text: str, *, fast: bool = False) -> list[Problem]:
+    kinds = lab_folder.folder / "robot" / "containers.yaml"
+    lab_folder.write("robot/containers.yaml", kinds.read_text() + kind)
+    lab_folder.write("recipes/jar.yaml", text)
+    problems = check(read_lab(lab_folder.folder), lab_folder.folder / "recipes" / "jar.yaml", fast=fast).problems
+    return [problem for problem in problems if problem.code in ("no-path", "poor-strokes")]
+
+
+@pytest.mark.slow
+def test_doses_of_a_jar_are_good_as_long_as_check_says_that_it_has_enough(tmp_path: Path) -> None:
+    ran = dosed(tmp_path, recipe([500.0, 500.0, 500.0, 250.0, 250.0, 500.0]))
+    assert {sample.verdict for sample in ran.result.samples} == {"in tolerance"}
+    assert failures(ran)["hand.no_flow"] == 0
+    world = ran.session.world
+    assert world is not None
+    assert world.masses_mg["spilled"] == 0.0
+
+
+@pytest.mark.slow
+def test_a_jar_that_gives_no_more_is_told_to_be_out_of_reach_and_not_of_no_flow(tmp_path: Path) -> None:
+    ran = dosed(tmp_path, recipe([500.0] * 9), plant=f"{__name__}:HalfScoops")
+    *good, last = [sample for sample in ran.result.samples if sample.verdict != "not run"]
+    assert len(good) >= 4
+    assert {sample.verdict for sample in good} == {"in tolerance"}
+    assert last.code == "source.empty"
+    assert "before the jar's wall and beside the strokes" in (last.detail or "")
+    assert failures(ran)["hand.no_flow"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("doses", "is_enough"), [(5, True), (7, False)])
+def test_check_counts_on_no_more_of_a_jar_than_its_strokes_bring(
+    lab_folder: LabFolder, doses: int, is_enough: bool
+) -> None:
+    problems = found(lab_folder, jar(), recipe([500.0] * doses))
+    assert [problem.mark.file.endswith("jar.yaml") for problem in problems] == [True] * (not is_enough)
+    for problem in problems:
+        assert re.search(r"of 12.0000 g in this jar .* are sure to bring [23]\.\d+ g, and 3\.6400 g", problem.message)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (jar(bore_mm=60.0), "no way along the floor of a jar of 60 mm bore and 40 mm depth .*; a bore of 75 mm"),
+        (jar(depth_mm=70.0), "flange and mortar_bay wall"),
+        (jar(floor_mm=3.0), r"With 'mortar_bay' at \[200 mm, 240 mm, 20 mm\] it can scoop there"),
+    ],
+    ids=["narrow", "deep", "low"],
+)
+def test_check_says_why_a_jar_cannot_be_scooped_and_what_would_do(lab_folder: LabFolder, kind: str, said: str) -> None:
+    (problem,) = found(lab_folder, kind, recipe([100.0]))
+    assert re.search(said, problem.message), problem.message
+
+
+def test_a_jar_with_a_thin_layer_is_warned_of(lab_folder: LabFolder) -> None:
+    (problem,) = found(lab_folder, jar(), recipe([300.0], amount_g=3.0), fast=True)
+    assert "the first stroke in this jar brings" in problem.message
+    assert problem.is_warning
