@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from scuhand_bt.dosing.jars import along_floor
 from scuhand_bt.dosing.ladle import Ladle, Stroke
 from scuhand_bt.dosing.swing import StrokePath, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.specs import Mortar
 
 DOCS = Path(__file__).parent
 SCALE = 4.0
@@ -27,7 +29,7 @@ text { fill: #e6edf3 } .paper { fill: #0d1117 } .vessel { fill: #30363d } .powde
 """
 MORTAR = Vessel.bowl(90.0, 30.0, 115.0)
 SMALL = Vessel.bowl(65.0, 22.0, 85.0)
-JAR = Vessel.cylinder(110.0, 40.0, 118.0)
+JAR = Mortar(name="jar", bore_mm=95.0, depth_mm=40.0, height_mm=55.0, outer_diameter_mm=103.0, corner_mm=5.0)
 LADLE = Ladle()
 HANDLE_MM = 95.0
 """From the apex, as far as it is drawn."""
@@ -165,7 +167,7 @@ def main() -> None:
         "scoop_angles": angles(),
         "scoop_swing": swing(MORTAR, Stroke(82.0, 70.0, -28.0), 7.4, (0.0, 0.35, 0.7, 1.0), 78.0),
         "scoop_small": swing(SMALL, Stroke(58.0, 46.0, -18.0), 6.0, (0.0, 0.35, 0.7, 1.0), 72.0),
-        "scoop_jar": swing(JAR, Stroke(90.0, 76.0, -48.0, max_tilt_deg=120.0), 4.0, (0.0, 0.3, 0.7, 1.0), 88.0),
+        "scoop_jar": swing(Vessel.of(JAR), along_floor(JAR, LADLE.slant_mm), 2.5, (0.0, 0.4, 1.0), 88.0),
     }
     for name, drawing in drawings.items():
         (DOCS / f"{name}.svg").write_text(drawing.written(), encoding="utf-8")

@@ -5,7 +5,6 @@ is told how coarse the beads are; such that leave a layer, of smaller beads, eac
 powder that the skill is told of; and the stroke of the first version, which lifts nothing.
 """
 
-import itertools
 import math
 from collections.abc import Iterator
 from contextlib import suppress
@@ -52,7 +51,7 @@ JARS = tuple(
     )
     for bore_mm in (95.0, 110.0)
 )
-JAR_FILLS_MG = (12_000.0, 40_000.0)
+JAR_FILL_MG = 12_000.0
 STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"} | {
     one.name: "mortar_bay" for one in JARS
 }
@@ -115,8 +114,8 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The control, all at once, the twelve of the height field, those that leave a layer, and two strokes to and fro in
-    jars: loads as the skill's.
+    """The control, all at once, the twelve of the height field, those that leave a layer, and jars: loads
+    as the skill's.
     """
     agate, small = MORTARS
     beads = FRICTIONS_DEG[0]
@@ -137,11 +136,10 @@ def cases() -> Iterator[Case]:
     ):
         gap_mm, strokes = lip_led(mortar, fill_mg, wanted_mg, beads, grain_mm / GRAINS_CLEAR, count)
         yield Case(name, mortar, fill_mg, *beads, strokes, grain_mm=grain_mm, gap_mm=gap_mm)
-    for jar, fill_mg in itertools.product(JARS, JAR_FILLS_MG):
-        gap_mm, strokes = lip_led(jar, fill_mg, LOAD_MG, beads, GRAIN_MM, 2)
-        is_shown = jar is JARS[0] and fill_mg == JAR_FILLS_MG[0]
-        shown_s = moments(strokes[0]) if is_shown else ()
-        yield Case(f"{jar.name}, {fill_mg / 1000:g} g", jar, fill_mg, *beads, strokes, shown_s, gap_mm=gap_mm)
+    for jar in JARS:
+        gap_mm, strokes = lip_led(jar, JAR_FILL_MG, LOAD_MG, beads, GRAIN_MM)
+        shown_s = moments(strokes[0]) if jar is JARS[0] else ()
+        yield Case(f"{jar.name}, {JAR_FILL_MG / 1000:g} g", jar, JAR_FILL_MG, *beads, strokes, shown_s, gap_mm=gap_mm)
 
 
 def lip_led(

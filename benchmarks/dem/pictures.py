@@ -29,7 +29,7 @@ def draw(case: Case, found: dict[str, Any], path: Path) -> None:
         grains, apex, axis = (np.array(moment[key]) for key in ("grains_mm", "apex_mm", "axis"))
         tilt, alpha = math.atan2(axis[0], axis[2]), math.asin(moment["rim_mm"] / 2 / SLANT_MM)
         near = np.abs(grains[:, 1]) < SLICE_MM
-        side.plot(across, wall_mm(case.mortar, np.abs(across)), "k", lw=1)
+        side.plot(across[[0, *range(99), -1]], [depth_mm, *wall_mm(case.mortar, np.abs(across)), depth_mm], "k", lw=1)
         side.scatter(grains[near, 0], grains[near, 2], s=9, c="tab:olive")
         for angle in (tilt - alpha, tilt + alpha):
             side.plot(

@@ -171,7 +171,9 @@ count = round(case["fill_mg"] / grain_mg)
 rng = np.random.default_rng(1)
 places = []
 pitch, level = 2.3 * radius, 0
-reach = 0.25 * case["mortar"]["bore_mm"] / 1000
+# On a level floor grains stay where they fall: there they are let fall all over it.
+bore, corner = case["mortar"]["bore_mm"], case["mortar"].get("corner_mm")
+reach = (0.25 * bore if corner is None else bore / 2 - corner) / 1000
 clear = np.interp(1000 * reach, *zip(*mortar_profile(), strict=True)) / 1000 + 2 * radius
 while len(places) < count:
     z = clear + level * pitch
