@@ -144,6 +144,10 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         lab_folder.write("robot/cell.yaml", re.sub(r"^frames:.*^stations:", frames, cell, flags=re.M | re.S))
         x_mm, y_mm, z_mm = lab_folder.load().cell.stations["balance"].position_mm
         assert (x_mm, y_mm, z_mm) == pytest.approx((339.1, -8.0, 60.4))
+    elif kind == "mortars":
+        kinds = (lab_folder.folder / "robot" / "containers.yaml").read_text(encoding="utf-8")
+        lab_folder.write("robot/containers.yaml", kinds + text.split("\n", 1)[1])
+        assert lab_folder.load().library.mortars["jar_95"].corner_mm == 5.0
     elif kind == "design":
         vary = lab_folder.write("vary.yaml", text)
         crucibles = (REPOSITORY / "recipes" / "crucibles.yaml").read_text(encoding="utf-8")

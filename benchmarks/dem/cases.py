@@ -45,11 +45,11 @@ JARS = tuple(
         name=f"jar_{bore_mm:g}",
         bore_mm=bore_mm,
         depth_mm=40.0,
-        height_mm=55.0,
+        height_mm=height_mm,
         outer_diameter_mm=bore_mm + 8.0,
         corner_mm=5.0,
     )
-    for bore_mm in (95.0, 110.0)
+    for bore_mm, height_mm in ((95.0, 55.0), (110.0, 65.0))
 )
 JAR_FILL_MG = 12_000.0
 STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"} | {
