@@ -6,6 +6,7 @@ has left. The last ones press the lip into the wall, which the sheet's softness 
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -108,7 +109,7 @@ class Scoop(Skill[Milligrams]):
             believed.layers.get(source.name),
         )
 
-    def _wished(self, cell: Cell, bed: AnyBed, in_mortar_mg: float) -> list[Stroke]:
+    def _wished(self, cell: Cell, bed: AnyBed, in_mortar_mg: float) -> Iterator[Stroke]:
         """The strokes that may be made, the first that the arm can make before others."""
         source, slant_mm = self.source, cell.spec.hand.sheet_radius_mm
         yielded = cell.believed.yields.get(source.name, 1.0)
@@ -118,18 +119,18 @@ class Scoop(Skill[Milligrams]):
         wanted_mg = most_mg = max(most_mg - bed.missed_mg, most_mg / 2)
         if self.wanted_mg is not None:
             wanted_mg = scooped_for_mg(self.wanted_mg) / yielded
+        pressed_mm = min(self.over_travel_mm, LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand))
         try:
-            strokes = strokes_in(bed, slant_mm, min(wanted_mg, most_mg), self._headings_deg(cell))
+            for stroke in strokes_in(bed, slant_mm, min(wanted_mg, most_mg), self._headings_deg(cell)):
+                gap_mm = stroke.gap_mm
+                if source.mortar.corner_mm is not None:
+                    if yielded * expected_mg(stroke, bed, slant_mm) < LEAST_MG:
+                        continue
+                elif gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
+                    gap_mm = -pressed_mm
+                yield replace(stroke, gap_mm=gap_mm, lip_speed_mm_per_s=self.speed_mm_per_s)
         except NoStrokeError as error:
             raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
-        if source.mortar.corner_mm is not None:
-            strokes = [one for one in strokes if yielded * expected_mg(one, bed, slant_mm) >= LEAST_MG]
-            if not strokes:
-                raise self._out_of_reach(in_mortar_mg)
-        elif strokes[0].gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
-            most_mm = LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand)
-            strokes = [replace(one, gap_mm=-min(self.over_travel_mm, most_mm)) for one in strokes]
-        return [replace(one, lip_speed_mm_per_s=self.speed_mm_per_s) for one in strokes]
 
     def _out_of_reach(self, in_mortar_mg: float) -> SkillFailed:
         left = f"of the {format_mass(in_mortar_mg)} that are believed to be in '{self.source.name}'"
@@ -139,20 +140,19 @@ class Scoop(Skill[Milligrams]):
             "the strokes; fill some in, or heap what is there up in the middle and say so",
         )
 
-    def _planned(self, cell: Cell, strokes: list[Stroke]) -> "tuple[Stroke, StoppableTrajectory]":
+    def _planned(self, cell: Cell, wished: Iterator[Stroke]) -> "tuple[Stroke, StoppableTrajectory]":
         """The first that the arm can make; SkillFailed where it can make none."""
         vessel, hand = Vessel.of(self.source.mortar), cell.spec.hand
         ladle = Ladle.of(hand)
         why: Exception | None = None
-        for stroke in strokes:
+        for stroke in wished:
             try:
                 return stroke, cell.plan_stroke(stroke_path(vessel, stroke, ladle), self.source)
             except (NoStrokeError, SkillFailed) as error:
                 why = why or error
-        if self.source.name in cell.believed.layers and vessel.floor_mm > 0.0:
+        if vessel.floor_mm > 0.0 and (why is None or self.source.name in cell.believed.layers):
             raise self._out_of_reach(cell.believed.sources_mg[self.source.name])
-        where = f"at '{self.source.station}' no stroke of {strokes[0].open_mm:.0f} mm is possible in any direction"
-        raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
+        raise SkillFailed(Code.ARM_NO_PATH, f"at '{self.source.station}' no stroke is possible in any direction: {why}")
 
     def _headings_deg(self, cell: Cell) -> list[float]:
         x_mm, y_mm, _ = cell.spec.stations[self.source.station].position_mm

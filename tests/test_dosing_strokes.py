@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.dosing.beds import strokes_in
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import (
     GRAINS_CLEAR,
@@ -157,6 +158,14 @@ def test_in_wide_and_deep_bowls_the_swing_goes_on_until_what_it_took_stays_in(
     in_cone_mg, lost_mg = through(stroke, HeightField(bowl, POWDERS[name]), bed.mass_mg, bowl)
     assert in_cone_mg == pytest.approx(expected_mg(stroke, bed, SHEET_MM), rel=0.12)
     assert lost_mg < 10.0
+
+
+def test_narrower_strokes_are_tried_once_the_widest_has_been_in_every_direction() -> None:
+    strokes = strokes_in(Bed(MORTAR, 12_000.0, BEADS), SHEET_MM, 4000.0, [90.0, 270.0])
+    assert [(stroke.open_mm, stroke.heading_deg) for stroke in strokes] == [
+        *((82.0, 90.0), (82.0, 270.0), (74.0, 90.0), (74.0, 270.0)),
+        *((66.0, 90.0), (66.0, 270.0), (58.0, 90.0), (58.0, 270.0)),
+    ]
 
 
 def test_the_less_there_is_the_more_of_it_lies_at_the_sides_where_strokes_leave_it() -> None:

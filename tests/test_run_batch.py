@@ -334,6 +334,35 @@ def test_several_scoops_empty_a_mortar_to_its_last_per_cent(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("bore", "depth", "height", "outer"), [(110, 50, 62, 130), (120, 40, 52, 140), (95, 40, 52, 120)]
+)
+def test_a_wide_and_deep_bowl_is_scooped_with_a_rim_that_the_arm_can_swing_in_it(
+    tmp_path: Path, bore: int, depth: int, height: int, outer: int
+) -> None:
+    """With the widest that goes in the swing ended halfway, or the arm was in the wall in every direction."""
+    lab = make_lab(tmp_path / "lab")
+    kinds = lab / "robot" / "containers.yaml"
+    bowl = f"  bowl: {{bore: {bore} mm, depth: {depth} mm, height: {height} mm, outer_diameter: {outer} mm}}\n"
+    kinds.write_text(kinds.read_text() + bowl)
+    text = BOWL + "".join(f"  - {{id: s{n}, mass: 1 g}}\n" for n in range(9))
+    ran = dry_run(tmp_path, text, lab=lab, controller="adaptive")
+    assert {sample.verdict for sample in ran.result.samples} == {"in tolerance"}
+    scoops = [row["payload"] for row in read(ran.journal, "event") if row["kind"] == "scooped"]
+    assert len(scoops) <= 5
+
+
+BOWL = """
+recipe: bowl
+workflow: scoop_and_dispense
+sources:
+  beads: {station: mortar_bay, container: bowl, powder: glass_beads, amount: 12 g}
+defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
+samples:
+"""
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 9, 11])
 def test_a_scoop_that_brought_less_than_expected_is_scooped_again_and_not_taken_for_a_bridge(
     tmp_path: Path, seed: int

@@ -159,7 +159,7 @@ def lip_led(
     for _ in range(count):
         bed = bed_in(mortar, left_mg, powder(friction_deg, grain_mm), SLANT_MM, layer)
         for heading_deg in headings_deg:
-            (stroke,) = strokes_in(bed, SLANT_MM, wanted_mg, [heading_deg])
+            stroke = next(strokes_in(bed, SLANT_MM, wanted_mg, [heading_deg]))
             with suppress(SkillFailed):
                 ways.append(_planned(mortar, stroke, heading_deg, heading_deg - HEADINGS_DEG[0]))
                 break

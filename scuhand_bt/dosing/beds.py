@@ -1,16 +1,19 @@
 """What is believed to lie in a source, a mortar's bowl or a jar, and the strokes that are made in it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
 from scuhand_bt.dosing import strokes
 from scuhand_bt.dosing.jars import JarBed
-from scuhand_bt.dosing.ladle import Stroke
+from scuhand_bt.dosing.ladle import NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import Bed, Layer
 from scuhand_bt.specs import Mortar, Powder
 
 AnyBed: TypeAlias = Bed | JarBed
+
+NARROWER_MM = (8.0, 16.0, 24.0)
+"""How much narrower rims are tried where the arm can make no stroke with the widest."""
 
 
 def bed_in(
@@ -22,16 +25,27 @@ def bed_in(
     return JarBed(mortar, mass_mg, powder, sheet_radius_mm, layer)
 
 
-def strokes_in(bed: AnyBed, sheet_radius_mm: float, wanted_mg: float, headings_deg: Sequence[float]) -> list[Stroke]:
-    """The stroke along each heading that brings so much and no more; of a jar, that brings most first.
+def strokes_in(
+    bed: AnyBed, sheet_radius_mm: float, wanted_mg: float, headings_deg: Sequence[float]
+) -> Iterator[Stroke]:
+    """The strokes along each heading that bring so much and no more, in the order in which they are to be tried.
 
-    NoStrokeError where there is none.
+    In a bowl those with the widest rim, and then narrower ones, which bring a little less, and with which the arm is
+    farther from the wall; in a jar the one along each heading, that brings most first. NoStrokeError where there is
+    none.
     """
-    if isinstance(bed, Bed):
-        stroke = strokes.chosen(bed, sheet_radius_mm, wanted_mg)
-        return [replace(stroke, heading_deg=heading_deg) for heading_deg in headings_deg]
-    along = [bed.chosen(wanted_mg, heading_deg) for heading_deg in headings_deg]
-    return sorted(along, key=bed.expected_mg, reverse=True)
+    if isinstance(bed, JarBed):
+        along = [bed.chosen(wanted_mg, heading_deg) for heading_deg in headings_deg]
+        yield from sorted(along, key=bed.expected_mg, reverse=True)
+        return
+    widest = strokes.chosen(bed, sheet_radius_mm, wanted_mg)
+    yield from (replace(widest, heading_deg=heading_deg) for heading_deg in headings_deg)
+    for less_mm in NARROWER_MM:
+        try:
+            narrower = strokes.chosen(bed, sheet_radius_mm, wanted_mg, widest.open_mm - less_mm)
+        except NoStrokeError:
+            return
+        yield from (replace(narrower, heading_deg=heading_deg) for heading_deg in headings_deg)
 
 
 def expected_mg(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> float:

@@ -211,15 +211,17 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
     )
 
 
-def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
+def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float, widest_mm: float = math.inf) -> Stroke:
     """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be.
+
+    Its rim is at most `widest_mm`.
 
     NoStrokeError where grains are so coarse that all that may be taken is less than one of them is thick, and where the
     bowl is so shallow, or so small for the sheet, that the lip leaves it before the sheet is level, whatever is taken;
     and where the vessel, the sheet or the handle allow none with any rim.
     """
     ladle, why = Ladle(sheet_radius_mm), list[NoStrokeError]()
-    widest_mm = _on_grid(WIDEST_SHARE * min(bed.mortar.bore_mm, 2 * sheet_radius_mm), RIM_GRID_MM)
+    widest_mm = min(widest_mm, _on_grid(WIDEST_SHARE * min(bed.mortar.bore_mm, 2 * sheet_radius_mm), RIM_GRID_MM))
     for open_mm in np.arange(widest_mm, ladle.rim_limits_mm[0] + CLOSING_MM, -RIM_GRID_MM).tolist():
         stroke = _deep_enough(bed, sheet_radius_mm, wanted_mg, open_mm)
         try:

@@ -1,13 +1,14 @@
 """In which directions the arm can scoop at each mortar station, and why not in the others: `reach --task scoop`."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scuhand_bt.cell.places import over_mortar
-from scuhand_bt.dosing.ladle import NoStrokeError
+from scuhand_bt.dosing.ladle import NoStrokeError, Stroke
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.specs import Mortar, Powder, Source
@@ -51,20 +52,39 @@ def _at(lab: Lab, station: str, mortar: Mortar, powder: Powder) -> Iterator[Dire
     above_mm = over_mortar(lab.cell.stations[station], mortar)
     planner.add_place(station, ApexPose(np.array(above_mm) / 1000))
     last_mg = LEAST_BED_MG if mortar.corner_mm is None else THIN_SHARE * source.capacity_mg
-    for heading_deg in sorted(headings_deg(lab.cell, station)):
-        first = _looked_at(planner, lab, source, FILL_SHARE * source.capacity_mg, heading_deg)
-        last = _looked_at(planner, lab, source, last_mg, heading_deg)
-        first_s, last_s = (one if isinstance(one, float) else None for one in (first, last))
-        why_not = next((one for one in (first, last) if isinstance(one, str)), "")
+    along_deg = sorted(headings_deg(lab.cell, station))
+    first = _looked_at(planner, lab, source, FILL_SHARE * source.capacity_mg, along_deg)
+    last = _looked_at(planner, lab, source, last_mg, along_deg)
+    for heading_deg in along_deg:
+        found = first[heading_deg], last[heading_deg]
+        first_s, last_s = (one if isinstance(one, float) else None for one in found)
+        why_not = next((one for one in found if isinstance(one, str)), "")
         yield Direction(station, mortar.name, heading_deg, first_s, last_s, why_not)
 
 
-def _looked_at(planner: "MotionPlanner", lab: Lab, source: Source, bed_mg: float, heading_deg: float) -> float | str:
-    """How long the stroke takes that is made in such a bed [s], or why it is not possible."""
-    from scuhand_bt.run.stroke_ways import stroke_in, swing_and_out
+def _looked_at(
+    planner: "MotionPlanner", lab: Lab, source: Source, bed_mg: float, along_deg: Sequence[float]
+) -> dict[float, float | str]:
+    """By direction, how long the stroke takes that is made in such a bed [s], or why it is not possible.
+
+    Of the rims that are tried, the first with which there is one at all, as in a run.
+    """
+    from scuhand_bt.run.stroke_ways import strokes_along, swing_and_out
+
+    def found(stroke: Stroke) -> float | str:
+        try:
+            return swing_and_out(planner, lab.cell, source, stroke)
+        except (NoStrokeError, SkillFailed) as error:
+            return str(error)
 
     try:
-        stroke = replace(stroke_in(lab.cell, source, bed_mg), heading_deg=heading_deg)
-        return swing_and_out(planner, lab.cell, source, stroke)
-    except (NoStrokeError, SkillFailed) as error:
-        return str(error)
+        strokes = strokes_along(lab.cell, source, bed_mg, along_deg)
+    except SkillFailed as error:
+        return dict.fromkeys(along_deg, str(error))
+    widest = dict[float, float | str]()
+    while of_rim := list(islice(strokes, len(along_deg))):
+        looked_at = {stroke.heading_deg: found(stroke) for stroke in of_rim}
+        if any(isinstance(one, float) for one in looked_at.values()):
+            return looked_at
+        widest = widest or looked_at
+    return widest

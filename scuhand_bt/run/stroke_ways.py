@@ -1,7 +1,7 @@
 """The strokes that a run makes in a mortar, by the skill's own choice, and whether the arm can: before it is to."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from scuhand_bt.cell.cell import carrying_limit_deg
@@ -95,7 +95,7 @@ def _first(cell: CellSpec, source: Source, bed_mg: float) -> tuple[Stroke, float
     """The first stroke in such a bed, and what it should bring; NoStrokeError where there is none."""
     slant_mm = cell.hand.sheet_radius_mm
     bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm)
-    (stroke,) = strokes_in(bed, slant_mm, source.powder.load_limit_mg, [0.0])
+    stroke = next(strokes_in(bed, slant_mm, source.powder.load_limit_mg, [0.0]))
     return stroke, expected_mg(stroke, bed, slant_mm)
 
 
@@ -103,6 +103,25 @@ def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
     """What is made in a bed on the way through a mortar. MortarCannotBeScooped where nothing comes of it."""
     worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
     return stroke_worth(cell, source, bed_mg, worth_mg)
+
+
+def strokes_along(cell: CellSpec, source: Source, bed_mg: float, along_deg: Sequence[float]) -> Iterator[Stroke]:
+    """What is tried in such a bed; MortarCannotBeScooped where nothing comes of it."""
+    stroke_in(cell, source, bed_mg)
+    slant_mm = cell.hand.sheet_radius_mm
+    bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm)
+    return strokes_in(bed, slant_mm, source.powder.load_limit_mg, along_deg)
+
+
+def first_way(motion: "MotionPlanner", cell: CellSpec, source: Source, strokes: Iterable[Stroke]) -> float:
+    """How long the first stroke swings that the arm can make [s]; else what is wrong with the first of them, raised."""
+    why = list[NoStrokeError | SkillFailed]()
+    for stroke in strokes:
+        try:
+            return swing_and_out(motion, cell, source, stroke)
+        except (NoStrokeError, SkillFailed) as error:
+            why.append(error)
+    raise why[0]
 
 
 def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> None:
