@@ -79,8 +79,7 @@ class Scoop(Skill[Milligrams]):
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
         believed.touched(source)
         bed = self._bed(cell)
-        wished = self._wished(cell, bed, in_mortar_mg)
-        stroke, motion = yield from cell.planned(lambda: self._planned(cell, wished))
+        stroke, motion = yield from cell.planned(lambda: self._planned(cell, self._wished(cell, bed, in_mortar_mg)))
         yield from cell.make_stroke(motion, stroke.open_mm, source.station)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
         held_mg = self._believe(cell, stroke, motion.duration_s, bed)

@@ -66,7 +66,7 @@ def poor_first_mg(cell: CellSpec, source: Source, largest_mg: float) -> float | 
     """
     try:
         _, brings_mg = _first(cell, source, source.amount_mg)
-    except NoStrokeError:
+    except ValueError:  # no stroke; or a vessel that cannot be, which is told where it is written
         return None
     return brings_mg if brings_mg < min(POOR_SHARE * _at_once_mg(source), POOR_DOSES * largest_mg) else None
 
