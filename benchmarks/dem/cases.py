@@ -51,9 +51,12 @@ JARS = tuple(
     )
     for bore_mm, height_mm in ((95.0, 55.0), (110.0, 65.0))
 )
-JAR_FILL_MG = 12_000.0
+BOWL = Mortar(name="wide_bowl", bore_mm=110.0, depth_mm=50.0, height_mm=62.0, outer_diameter_mm=130.0)
+WIDEST = Stroke(92.0, 80.0, -32.0)
+"""What goes into that bowl: the handle meets its edge halfway."""
+OTHER_FILL_MG = 12_000.0
 STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"} | {
-    one.name: "mortar_bay" for one in JARS
+    one.name: "mortar_bay" for one in (*JARS, BOWL)
 }
 FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (1000.0, 2000.0, 3000.0)}
 """Of what the skill scoops at once: of more in the small mortar it leaves a layer, thinner than these grains."""
@@ -114,8 +117,8 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The control, all at once, the twelve of the height field, those that leave a layer, and jars: loads
-    as the skill's.
+    """The control, all at once, the twelve of the height field, those that leave a layer, jars, and a wide bowl with
+    a control of its own: loads as the skill's.
     """
     agate, small = MORTARS
     beads = FRICTIONS_DEG[0]
@@ -137,9 +140,14 @@ def cases() -> Iterator[Case]:
         gap_mm, strokes = lip_led(mortar, fill_mg, wanted_mg, beads, grain_mm / GRAINS_CLEAR, count)
         yield Case(name, mortar, fill_mg, *beads, strokes, grain_mm=grain_mm, gap_mm=gap_mm)
     for jar in JARS:
-        gap_mm, strokes = lip_led(jar, JAR_FILL_MG, LOAD_MG, beads, GRAIN_MM)
+        gap_mm, strokes = lip_led(jar, OTHER_FILL_MG, LOAD_MG, beads, GRAIN_MM)
         shown_s = moments(strokes[0]) if jar is JARS[0] else ()
-        yield Case(f"{jar.name}, {JAR_FILL_MG / 1000:g} g", jar, JAR_FILL_MG, *beads, strokes, shown_s, gap_mm=gap_mm)
+        yield Case(
+            f"{jar.name}, {OTHER_FILL_MG / 1000:g} g", jar, OTHER_FILL_MG, *beads, strokes, shown_s, gap_mm=gap_mm
+        )
+    gap_mm, strokes = lip_led(BOWL, OTHER_FILL_MG, OTHER_FILL_MG, beads, GRAIN_MM)
+    yield Case(f"{BOWL.name}, {OTHER_FILL_MG / 1000:g} g", BOWL, OTHER_FILL_MG, *beads, strokes, gap_mm=gap_mm)
+    yield Case(f"{BOWL.name}, widest rim", BOWL, OTHER_FILL_MG, *beads, (without_arm(BOWL, WIDEST),))
 
 
 def lip_led(
@@ -155,14 +163,14 @@ def lip_led(
     `grain_mm` is what the skill takes the powder's to be. Turned about the vertical so that the first goes along x.
     """
     layer, left_mg, gaps_mm, ways = None, fill_mg, list[float](), list[Way]()
-    headings_deg = iter(HEADINGS_DEG)
+    headings_deg = HEADINGS_DEG
     for _ in range(count):
         bed = bed_in(mortar, left_mg, powder(friction_deg, grain_mm), SLANT_MM, layer)
-        for heading_deg in headings_deg:
-            stroke = next(strokes_in(bed, SLANT_MM, wanted_mg, [heading_deg]))
+        for stroke in strokes_in(bed, SLANT_MM, wanted_mg, headings_deg):
             with suppress(SkillFailed):
-                ways.append(_planned(mortar, stroke, heading_deg, heading_deg - HEADINGS_DEG[0]))
+                ways.append(_planned(mortar, stroke, stroke.heading_deg, stroke.heading_deg - HEADINGS_DEG[0]))
                 break
+        headings_deg = headings_deg[headings_deg.index(stroke.heading_deg) + 1 :]
         gaps_mm.append(stroke.gap_mm)
         left_mg -= expected_mg(stroke, bed, SLANT_MM)
         layer = layer_left(stroke, bed, SLANT_MM)
@@ -225,6 +233,12 @@ def upright(mortar: Mortar, open_mm: float = 66.0, closed_mm: float = 42.0) -> W
     axis = np.tile([0.0, 0.0, 1.0], (3 * count, 1))
     on_wall = np.repeat([False, True, False], count)
     return _written(np.linspace(0.0, 3.0, 3 * count), apex_mm, axis, rims, on_wall)
+
+
+def without_arm(mortar: Mortar, stroke: Stroke) -> Way:
+    """A stroke as geometry has it."""
+    path = stroke_path(Vessel.of(mortar), stroke, Ladle())
+    return _written(path.times_s, path.apex_mm, path.axis, path.rim_mm, path.on_wall)
 
 
 def moments(stroke: Way) -> tuple[float, ...]:

@@ -1,7 +1,7 @@
 """The strokes that a run makes in a mortar, by the skill's own choice, and whether the arm can: before it is to."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from scuhand_bt.cell.cell import carrying_limit_deg
@@ -111,17 +111,6 @@ def strokes_along(cell: CellSpec, source: Source, bed_mg: float, along_deg: Sequ
     slant_mm = cell.hand.sheet_radius_mm
     bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm)
     return strokes_in(bed, slant_mm, source.powder.load_limit_mg, along_deg)
-
-
-def first_way(motion: "MotionPlanner", cell: CellSpec, source: Source, strokes: Iterable[Stroke]) -> float:
-    """How long the first stroke swings that the arm can make [s]; else what is wrong with the first of them, raised."""
-    why = list[NoStrokeError | SkillFailed]()
-    for stroke in strokes:
-        try:
-            return swing_and_out(motion, cell, source, stroke)
-        except (NoStrokeError, SkillFailed) as error:
-            why.append(error)
-    raise why[0]
 
 
 def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> None:

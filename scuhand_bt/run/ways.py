@@ -26,11 +26,11 @@ from scuhand_bt.recipe.sample import Demand
 from scuhand_bt.run.stroke_ways import (
     LEAST_BED_MG,
     MortarCannotBeScooped,
-    first_way,
     headings_deg,
     require_first,
     strokes_along,
     strokes_in_jar,
+    swing_and_out,
 )
 from scuhand_bt.specs import ContainerKind, Mortar, Source
 
@@ -154,12 +154,16 @@ def _strokes(motion: MotionPlanner, cell: CellSpec, demand: Demand) -> None:
 
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> None:
     """A stroke in some direction, and from its end to where loads are carried from."""
-    strokes = strokes_along(cell, source, bed_mg, list(headings_deg(cell, source.station)))
-    try:
-        first_way(motion, cell, source, strokes)
-    except (NoStrokeError, SkillFailed) as error:
-        where = f"at '{source.station}' no stroke is possible in any direction"
-        raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {error}") from None
+    why = ""
+    for stroke in strokes_along(cell, source, bed_mg, list(headings_deg(cell, source.station))):
+        try:
+            swing_and_out(motion, cell, source, stroke)
+        except (NoStrokeError, SkillFailed) as error:
+            why = why or str(error)
+        else:
+            return
+    where = f"at '{source.station}' no stroke is possible in any direction"
+    raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
 
 def _elsewhere(
