@@ -1,6 +1,7 @@
 """Plans on disk: found again where nothing has changed, and never believed."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,13 +9,14 @@ from running import make_lab
 
 from harness.motion_audit import Audit
 from harness.own_workflow import write_own
+from scuhand_bt import api
 from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, transfer
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.prepared_motion import prepared_motion
+from scuhand_bt.run.prepared_motion import motion_of, prepared_motion
 
 LAB = load_lab(starter_lab())
 AWAY = ApexPose(np.array([0.2, 0.24, 0.12]))
@@ -94,6 +96,40 @@ def test_another_lab_of_the_same_cell_searches_for_nothing(
         prepared_motion(make_plan(load_recipe(lab.folder / "recipes" / "one.yaml", lab), lab), lab)
         assert bool(searches) is (name == "one")
         assert not (lab.folder / ".scuhand").exists(), "a cache is no state of the lab's"
+
+
+def test_once_written_ways_between_places_are_kept_and_those_from_elsewhere_are_asked_for_once(
+    tmp_path: Path, searches: list[object]
+) -> None:
+    first = planner(tmp_path)
+    first.keep_plans()  # as a run does that has prepared its ways, with none of them
+    at_home = first.home()
+    aside = at_home + np.radians([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for begin in (at_home, aside):
+        first.move(begin, "away", spill_limit_deg=20.0)
+    first.keep_plans()
+    again = planner(tmp_path)
+    searches.clear()
+    again.move(again.home(), "away", spill_limit_deg=20.0)
+    assert searches == []
+    again.move(aside, "away", spill_limit_deg=20.0)
+    assert searches
+
+
+def test_what_a_dry_run_has_planned_for_its_loads_the_next_one_finds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searches: list[Any]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    powder = {"station": "mortar_bay", "container": "agate_mortar", "powder": "glass_beads", "amount": "5 g"}
+    samples = [{"id": "one", "source": "beads", "container": "xrd_holder", "mass": "50 mg"}]
+    recipe = {"workflow": "fill_xrd_holder", "sources": {"beads": powder}, "samples": samples}
+    lab = api.open_lab(starter_lab())
+    lab.dry_run(recipe, seed=1)
+    (limit_deg,) = {task.spill_limit_deg for task, *_ in searches} - {None}
+    searches.clear()
+    next_one = motion_of(lab.plan(recipe), LAB)
+    next_one.move(next_one.standing_at("mortar_bay"), "balance+80mm", spill_limit_deg=limit_deg)
+    assert searches == []
 
 
 def test_a_plan_that_would_touch_something_is_not_used_whatever_file_it_is_in(tmp_path: Path) -> None:

@@ -160,7 +160,7 @@ class Answers:
             if found is None:
                 found = self._planned(way, spill_limit_deg)
                 if found is not None and self._store is not None and is_final() and way.geometry.occupied is None:
-                    self._store.keep(key.written, found)
+                    self._store.keep(key.written, found, is_common=self._between_places(way))
             if found is None:
                 return None
             # A load's is made as slow as the servos ask for with its own limit.

@@ -41,7 +41,7 @@ class PlanStore:
         depends = (_source(), urdf, repr(moving), sorted((name, repr(mortar)) for name, mortar in mortars.items()))
         self._path = folder / f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.npz"
         self._plans: dict[str, tuple[Floats, Floats]] = {}
-        self._is_new = False
+        self._is_new = self._has_written = False
         with suppress(*_UNREADABLE), self._path.open("rb") as file, np.load(file, allow_pickle=False) as found:
             names = [name.removesuffix(".knots") for name in found.files if name.endswith(".knots")]
             self._plans = {name: (found[f"{name}.knots"], found[f"{name}.cubics"]) for name in names}
@@ -60,13 +60,19 @@ class PlanStore:
             return JointTrajectory(knots_s, coefficients, spill_limit_deg)
         return None
 
-    def keep(self, request: str, motion: JointTrajectory) -> None:
-        """Remember a plan, until it is written."""
+    def keep(self, request: str, motion: JointTrajectory, *, is_common: bool) -> None:
+        """Remember a plan, until it is written; after the first writing those alone that other runs ask for too.
+
+        What a run needs as it goes, from where a stroke has ended, say, is asked for once in a thousand scoops.
+        """
+        if self._has_written and not is_common:
+            return
         self._plans[_name(request)] = motion.knots_s, motion.coefficients
         self._is_new = True
 
     def write(self) -> None:
         """All of them to the file, if there is a new one; the oldest geometries' files go."""
+        self._has_written = True
         if not self._is_new:
             return
         arrays = {}

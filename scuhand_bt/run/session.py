@@ -347,6 +347,7 @@ class Session:
             closing.callback(self._records.anchor_end)
             closing.callback(self.journal.close)
             closing.callback(self._records.finish_telling)
+            closing.callback(self.cell.motion.keep_plans)
             closing.callback(self._close_cell)
 
 
