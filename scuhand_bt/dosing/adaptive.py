@@ -257,7 +257,8 @@ class Adaptive:
     def _note_gain(self) -> None:
         """Whether powder has come: after short openings most is seen when the valve is shut."""
         bank = self._known.bank
-        if bank.mass_mg - self._barren_mg > max(COMES_MG, COMES * bank.mass_sd_mg):
+        gained_mg = bank.mass_mg - self._barren_mg
+        if gained_mg > COMES_MG and gained_mg > COMES * bank.mass_sd_mg:
             self._barren_s, self._barren_mg = 0.0, bank.mass_mg
 
     def _lump_mg(self) -> float:

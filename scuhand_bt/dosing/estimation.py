@@ -88,23 +88,28 @@ def powers(phi: Array | float, slope: Array | float) -> Array:
 class _Step(NamedTuple):
     """What a time does to each of H models."""
 
-    still: Array
-    """(H, 5, 5) and (H, 5) of `transitions`."""
+    over: Array
+    """(H, 5, 5) of `transitions`, with what k and g add by what was seen last."""
     adds: Array
+    """(H, 3, 1) of `transitions`: to all but k and g themselves."""
     lags: tuple[int, ...]
     """By how many readings models run behind, each number once."""
     of_lag: NDArray[np.intp]
     """(H,) which of these is a model's."""
-    longest: int
 
     @classmethod
     def of(cls, delays_s: Array, pure: Array, damping: Array, dt_s: float) -> "_Step":
         still, adds = transitions(delays_s, pure, damping, dt_s)
         lags, of_lag = np.unique(np.rint(pure * delays_s / dt_s).astype(int), return_inverse=True)
-        return cls(still, adds, tuple(lags.tolist()), of_lag, int(lags[-1]))
+        return cls(still, adds[:, :K, None], tuple(lags.tolist()), of_lag)
 
     def of_some(self, kept: NDArray[np.bool_]) -> "_Step":
-        return self._replace(still=self.still[kept], adds=self.adds[kept], of_lag=self.of_lag[kept])
+        return self._replace(over=self.over[kept], adds=self.adds[kept], of_lag=self.of_lag[kept])
+
+    def seeing(self, late: Array) -> Array:
+        """(H, 5, 5) the transitions, where models see these integrals (2, H) of phi and its slope."""
+        np.multiply(self.adds, late.T[:, None, :], out=self.over[:, :K, K:])
+        return self.over
 
 
 class Bank:
@@ -157,9 +162,9 @@ class Bank:
         many = len(self.models)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
         self._phi = np.zeros(many)  # of what each saw last
-        self._unseen: Array | None = None  # (2, H), integrals of phi and of its slope; nothing
+        self._unseen = np.zeros((2, many))  # integrals of phi and of its slope
         self._means, self._changing = [0.0, 0.0], 0.0
-        self._passed, self._shut_for = [(0.0, 0.0)], 0  # both integrals, until each reading; the last readings shut
+        self._passed = [(0.0, 0.0)]  # both integrals, until each reading
         self._tell()
 
     def _step(self, dt_s: float) -> _Step:
@@ -168,70 +173,56 @@ class Bank:
             self._step_of[dt_s] = _Step.of(self.delays_s, self._pure, self._damping, dt_s)
         return self._step_of[dt_s]
 
-    def _late(self, dt_s: float, phi_s: float, slope_s: float, step: _Step) -> Array | None:
-        """(2, H): phi's and its slope's integrals over what each model sees now; notes what is yet to see.
-
-        None where no model sees anything, nor has anything to see.
-        """
+    def _late(self, row: Row, step: _Step) -> Array:
+        """(2, H): phi's and its slope's integrals over what each model sees now; notes what is yet to see."""
         for mean, over_s in enumerate(CHANGE_S):
-            self._means[mean] += (phi_s / dt_s - self._means[mean]) * -math.expm1(-dt_s / over_s)
+            self._means[mean] += (row.phi_s / row.dt_s - self._means[mean]) * -math.expm1(-row.dt_s / over_s)
         self._changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
-        passed = self._passed
-        before, count = passed[-1], len(passed)
-        passed.append((before[0] + phi_s, before[1] + slope_s))
-        self._shut_for = self._shut_for + 1 if phi_s == 0.0 == slope_s else 0
-        if self._shut_for > step.longest or self._shut_for == count:
-            self._unseen = None
-            return None
-        seen = [max(count - lag, 0) for lag in step.lags]
-        now, ends_s = np.array(passed[-1]), np.array([passed[at] for at in seen])
-        begins_s = np.array([passed[max(at - 1, 0)] for at in seen])
-        self._unseen = (now - ends_s).T[:, step.of_lag]
-        late: Array = (ends_s - begins_s).T[:, step.of_lag]
-        return late
+        passed, count = self._passed, len(self._passed)
+        phi_s, slope_s = passed[-1][0] + row.phi_s, passed[-1][1] + row.slope_s
+        passed.append((phi_s, slope_s))
+        of_lags = []
+        for lag in step.lags:
+            ends, begins = passed[max(count - lag, 0)], passed[max(count - lag - 1, 0)]
+            of_lags.append((phi_s - ends[0], slope_s - ends[1], ends[0] - begins[0], ends[1] - begins[1]))
+        of_models = np.array(of_lags).T.take(step.of_lag, axis=1)
+        self._unseen = of_models[:2]
+        return of_models[2:]
 
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
 
         Returns the likeliest model's innovation in standard deviations.
         """
-        dt_s, before = row.dt_s, self._phi
+        dt_s = row.dt_s
         if row.changed:
             self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
         step = self._step(dt_s)
-        late = self._late(dt_s, row.phi_s, row.slope_s, step)
-        k, f = self._x[:, K], step.still
-        if late is not None:
-            f = f.copy()
-            f[:, :, K:] += step.adds[:, :, None] * late.T[:, None, :]
+        late = self._late(row, step)
+        k, phi_s, f = self._x[:, K], late[0], step.seeing(late)
         x = np.matmul(f, self._x[:, :, None])[:, :, 0]
         p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
-        masses, shown, unseen_mg = p[:, MASS, MASS], p[:, READING, READING].copy(), x[:, MASS] - x[:, READING]
+        masses, spread, shown = p[:, MASS, MASS], p[:, K, K], p[:, READING, READING]
         masses += 1e-6
-        unexplained = (self.misfit * unseen_mg) ** 2
-        noise = row.noise_mg**2
-        if late is not None:
-            phi_s = late[0]
-            flow_mg = np.maximum(k, HELD_UP * reference) * phi_s
-            masses += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s
-            bridged = np.maximum(reference - k, 0.0)
-            walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
-            spread = p[:, K, K]
-            spread[:] = np.minimum(spread + walk, np.maximum(spread, (self._most_sd * reference) ** 2))
-        self._phi = late[0] / dt_s if late is not None else np.zeros_like(k)
+        flow_mg = np.maximum(k, HELD_UP * reference) * phi_s
+        masses += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s
+        bridged = np.maximum(reference - k, 0.0)
+        walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
+        np.minimum(spread + walk, np.maximum(spread, (self._most_sd * reference) ** 2), out=spread)
+        before, self._phi = self._phi, phi_s / dt_s
         changed = (UNSTEADY_S * k * (self._phi - before)) ** 2
-        unexplained = (noise + changed) + unexplained
+        noise = row.noise_mg**2
+        unexplained = (noise + changed) + (self.misfit * (x[:, MASS] - x[:, READING])) ** 2
         common = shown + changed
         variance = shown + unexplained
         innovation_mg = row.reading_mg - x[:, READING]
         gain = p[:, :, READING] / variance[:, None]
         self._x = x + gain * innovation_mg[:, None]
         np.maximum(self._x[:, K], 0.0, out=self._x[:, K])
-        p -= gain[:, :, None] * p[:, None, READING, :]
-        self._p = p
+        self._p = p - gain[:, :, None] * p[:, None, READING, :]
         best = int(self.weights.argmax())
         score = float(innovation_mg[best]) / math.sqrt(variance[best])
-        if late is not None and k[best] * phi_s[best] > FLOWING_MG:
+        if k[best] * phi_s[best] > FLOWING_MG:
             told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
             more = min(score * score, SURPRISING) - AS_EXPECTED
             if more > 0.0 or k[best] > FREELY * reference:  # nor does a bridge say that there are none
@@ -252,25 +243,16 @@ class Bank:
             self.delays_s, self._pure, self._damping = self.delays_s[kept], self._pure[kept], self._damping[kept]
             self._step_of = {dt_s: step.of_some(kept) for dt_s, step in self._step_of.items()}
             self._x, self._p = self._x[kept], self._p[kept]
-            self._phi = self._phi[kept]
-            self._unseen = self._unseen[:, kept] if self._unseen is not None else None
+            self._phi, self._unseen = self._phi[kept], self._unseen[:, kept]
         self.weights = weights / np.add.reduce(weights)
 
     def _tell(self) -> None:
         """What is known after a reading: where each model is once it has seen what it has not yet, and all together."""
-        x, p, weights = self._x, self._p, self.weights
-        mass, mass_k, mass_g, left_mg = p[:, MASS, MASS], p[:, MASS, K], p[:, MASS, G], x[:, MASS]
-        if self._unseen is not None:
-            phi_s, slope_s = self._unseen
-            k, p_kk, p_kg, p_gg, seen_k, seen_g = x[:, K], p[:, K, K], p[:, K, G], p[:, G, G], mass_k, mass_g
-            mass_k = seen_k + p_kk * phi_s + p_kg * slope_s
-            mass_g = seen_g + p_kg * phi_s + p_gg * slope_s
-            mass = mass + (seen_k + mass_k) * phi_s + (seen_g + mass_g) * slope_s + 2.0 * self.surge_mg * k * phi_s
-            left_mg = left_mg + k * phi_s + x[:, G] * slope_s
-        self._now = left_mg, mass, mass_k, mass_g
+        x, weights, (phi_s, slope_s) = self._x, self.weights, self._unseen
+        self._left_mg = x[:, MASS] + x[:, K] * phi_s + x[:, G] * slope_s
         self._linear: tuple[Array, Array] | None = None
-        self._coefficient: float | None = None
-        means = np.maximum(left_mg, x[:, MASS])
+        self._flow_sd: float | None = None
+        means = np.maximum(self._left_mg, x[:, MASS])
         behind = means - x[:, READING]
         self._shown = means, behind
         self.mass_mg = float(weights @ means)
@@ -280,6 +262,8 @@ class Bank:
         behind_mg = float(weights @ behind)
         self.unseen_mg = abs(behind_mg) + 2.0 * math.sqrt(float(weights @ ((behind - behind_mg) ** 2)))
         """What has left and is not read yet, with twice what that may be off by."""
+        self.coefficient = float(weights @ x[:, K])
+        """k, in mg s^-1 mm^-n."""
 
     # --- what is known ---
 
@@ -287,31 +271,31 @@ class Bank:
     def mass_sd_mg(self) -> float:
         """The standard deviation of `mass_mg`, with what the models differ by."""
         means, behind = self._shown
-        variances = np.maximum(self._now[1] + (self.misfit * behind) ** 2, 0.0) * self.erratic
+        variances = np.maximum(self._way()[1][0] + (self.misfit * behind) ** 2, 0.0) * self.erratic
         return math.sqrt(float(self.weights @ (variances + (means - self.mass_mg) ** 2)))
 
     @property
-    def coefficient(self) -> float:
-        """k, in mg s^-1 mm^-n."""
-        if self._coefficient is None:
-            self._coefficient = float(self.weights @ self._x[:, K])
-        return self._coefficient
-
-    @property
     def coefficient_sd(self) -> float:
-        """Its standard deviation, with what the models differ by."""
-        variances = self._p[:, K, K] + (self._x[:, K] - self.coefficient) ** 2
-        return math.sqrt(max(float(self.weights @ variances), 0.0))
+        """The standard deviation of `coefficient`, with what the models differ by."""
+        if self._flow_sd is None:
+            variances = self._p[:, K, K] + (self._x[:, K] - self.coefficient) ** 2
+            self._flow_sd = math.sqrt(max(float(self.weights @ variances), 0.0))
+        return self._flow_sd
 
     def _way(self) -> tuple[Array, Array]:
         """(3, H) and (6, H): what means and variances are, by the terms of `powers`."""
         if self._linear is None:
-            left_mg, mass, mass_k, mass_g = self._now
-            p, k, lumps = self._p, self._x[:, K], 2.0 * self.surge_mg * self._x[:, K]
-            self._linear = (
-                np.array((left_mg, k, self._x[:, G])),
-                np.array((mass, 2.0 * mass_k + lumps, 2.0 * mass_g, p[:, K, K], 2.0 * p[:, K, G], p[:, G, G])),
-            )
+            p, k, (phi_s, slope_s) = self._p, self._x[:, K], self._unseen
+            p_kk, p_kg, p_gg, seen_k, seen_g = p[:, K, K], p[:, K, G], p[:, G, G], p[:, MASS, K], p[:, MASS, G]
+            lumps = 2.0 * self.surge_mg * k
+            mass_k = seen_k + p_kk * phi_s + p_kg * slope_s
+            mass_g = seen_g + p_kg * phi_s + p_gg * slope_s
+            mass = p[:, MASS, MASS] + (seen_k + mass_k) * phi_s + (seen_g + mass_g) * slope_s + lumps * phi_s
+            left, variances = np.empty((3, len(k))), np.empty((6, len(k)))
+            left[0], left[1], left[2] = self._left_mg, k, self._x[:, G]
+            variances[0], variances[1], variances[2] = mass, 2.0 * mass_k + lumps, 2.0 * mass_g
+            variances[3], variances[4], variances[5] = p_kk, 2.0 * p_kg, p_gg
+            self._linear = left, variances
         return self._linear
 
     def coming(self, way: Array) -> tuple[Array, Array]:

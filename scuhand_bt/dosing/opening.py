@@ -91,8 +91,9 @@ class Opening:
         known, bank = self._known, self._known.bank
         tail, _ = known.valve.closing(known.request.balance_period_s + bank.delay_s)
         unseen_mg = bank.coefficient * tail  # what flows while it cannot be seen yet, and until the valve is shut
-        surely = bank.coefficient - SURE * bank.coefficient_sd
-        return surely > ALARM * self._first_reference and 2.0 * unseen_mg > self._most_mg - bank.mass_mg
+        if 2.0 * unseen_mg <= self._most_mg - bank.mass_mg:
+            return False
+        return bank.coefficient - SURE * bank.coefficient_sd > ALARM * self._first_reference
 
     def _enough(self) -> Seen | None:
         """By what is predicted, if it is shut now, and by the next reading."""
