@@ -234,7 +234,10 @@ def test_a_step_that_the_run_has_seen_is_in_the_uncertainty_of_a_dose_and_may_ch
     large = doubted(small, 0.5, 0.0)
     assert (large.uncertainty_mg, large.verdict) == (pytest.approx(math.hypot(0.1, 1.075)), "over")
     assert (large.code, large.doses[0].verdict, large.is_good) == ("balance.bracket_open", "over", False)
-    assert large.detail == "the balance's zero was seen to step by 0.50 mg in this run, and may have in this dose"
+    assert large.detail == (
+        "the balance's zero was seen to step by 0.50 mg, or its display to hold back so much, in this run, "
+        "and may have in this dose"
+    )
     assert large.doses[0].uncertainty_mg == large.uncertainty_mg
     assert doubted(large, 0.3, 0.0) is large, "what was seen stays seen"
 

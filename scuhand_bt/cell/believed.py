@@ -176,7 +176,8 @@ class Believed(BelievedPowder):
             return
         told = closed
         if closed.closes and self.is_zero_doubted:
-            told = replace(closed, closes=False, detail=f"the balance's zero has stepped of late; {closed.detail}")
+            why = "the balance's zero has stepped of late, or the bracket before did not close"
+            told = replace(closed, closes=False, detail=f"{why}; {closed.detail}")
         self._set(bracket=None, closed=(*self.closed, told), has_closed=True, is_zero_doubted=not closed.closes)
 
     def noted(self, closed: ClosedBracket) -> None:

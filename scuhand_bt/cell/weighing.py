@@ -350,7 +350,10 @@ def _handed_over(cell: Cell, hands: Hands, to: Container, bare_mg: float, was_mg
 
 def _in_words(closed: Closed) -> str:
     if closed.stepped_mg != 0.0:
-        return f"the bare pan shows {closed.zero_mg:+.2f} mg against before the container: the balance's zero has moved"
+        return (
+            f"the bare pan shows {closed.zero_mg:+.2f} mg against before the container: the balance's zero has moved, "
+            "or its display holds what it shows"
+        )
     return (
         f"by the bare pan before and after it the container has gained {closed.net.mass_mg:.2f} mg, "
         f"{closed.difference_mg:+.2f} mg against what was dosed; {closed.allowance_mg:.2f} mg are allowed"

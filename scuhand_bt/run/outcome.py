@@ -143,7 +143,9 @@ def doubted(result: SampleResult, stepped_mg: float, drift_mg_per_s: float) -> S
     if result.verdict in get_args(Verdict):
         changes["verdict"] = _verdict(doses, doses, is_asked=True)
         if result.code is None and changes["verdict"] != result.verdict:
-            seen = f"step by {stepped_mg:.2f} mg" if stepped_mg > 0.0 else f"drift by {drift_mg_per_s:.3f} mg/s"
+            seen = f"drift by {drift_mg_per_s:.3f} mg/s"
+            if stepped_mg > 0.0:
+                seen = f"step by {stepped_mg:.2f} mg, or its display to hold back so much,"
             detail = f"the balance's zero was seen to {seen} in this run, and may have in this dose"
             changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": detail}
     return _reckoned(result.model_copy(update=changes))
