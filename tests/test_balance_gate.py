@@ -106,6 +106,15 @@ def late_by(delay_s: float) -> Step:
     return Step(25_000.0, tuple(times_s), tuple((1.0 + 2.0 * t / delay_s) * exp(-2.0 * t / delay_s) for t in times_s))
 
 
+def late_at_last(delay_s: float) -> Step:
+    """The same, of one whose last 10 mg take four times as long."""
+    whole = late_by(delay_s)
+    quick = sum(share * 25_000.0 > 10.0 for share in whole.missing)
+    begins_s, left = whole.times_s[quick - 1], whole.missing[quick - 1]
+    creeps = (left * exp(-(time_s - begins_s) / (2.0 * delay_s)) for time_s in whole.times_s[quick:])
+    return whole._replace(missing=(*whole.missing[:quick], *creeps))
+
+
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Cell:
     """A cell that has dosed, and knows its balance."""
@@ -151,6 +160,20 @@ def test_slower_is_a_quarter_more_than_was_measured_or_else_learnt_and_a_person_
     assert len(events) == is_slower
     assert cell.balance_belief == (balance_of(step) if is_slower else learnt)
     assert cell.known_delay_s == (step.delay_s if is_slower or known_s is None else known_s)
+
+
+@pytest.mark.parametrize(
+    ("by_hand", "adapted", "is_taken"), [(False, False, True), (True, False, False), (False, True, False)]
+)
+def test_a_filter_that_has_begun_to_adapt_is_taken_for_what_a_container_has_shown_of_it(
+    sound: Cell, by_hand: bool, adapted: bool, is_taken: bool
+) -> None:
+    changes: dict[str, Any] = {"changer": SimpleNamespace(needs_person=by_hand), "record": Record(lambda event: None)}
+    learnt = BalanceBelief(lag_s=0.3, misfit=0.01, fits=3, adapts=adapted)
+    cell, step = replace(sound, balance_belief=learnt, known_delay_s=0.6, **changes), late_at_last(0.6)
+    assert balance_of(step).adapts
+    require_known_delay(cell, step)
+    assert cell.balance_belief == (balance_of(step) if is_taken else learnt)
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,8 @@ def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Ste
 
 
 def require_known_delay(cell: Cell, step: Step) -> None:
-    """Before a dose: a balance that is slower than it was, or unknown, is taken for what it has shown of a container.
+    """Before a dose: a balance that is slower than it was, adapts as it did not, or is unknown, is taken for what it
+    has shown of a container.
 
     SkillFailed balance.slow where nothing doses safely with it.
     """
@@ -227,8 +228,10 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     is_slower = delay_s > SLOWER * known_s + inexact_s
     if is_slower:
         cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
-    if is_slower or (cell.balance_belief.fits == 0 and not cell.changer.needs_person):
-        cell.balance_belief = balance_of(step)
+    found, known = balance_of(step), cell.balance_belief
+    is_news = known.fits == 0 or (found.adapts and not known.adapts)
+    if is_slower or (is_news and not cell.changer.needs_person):
+        cell.balance_belief = found
     if not is_slower and cell.known_delay_s is not None:
         delay_s = min(delay_s, known_s)
     cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
