@@ -29,8 +29,6 @@ RISK = 0.005
 """The greatest probability of too much, of every opening at every reading."""
 UNSEEN_ERROR = 0.2
 """No balance is just its model: what a flow's unseen part is off by, relative to it."""
-APART = 1.01
-"""The widest is wider than the narrowest by this factor at least."""
 CHOICES = 40
 """Openings that are compared, from the narrowest that lets powder through to the widest."""
 NARROWEST_MM = 0.05
@@ -90,7 +88,7 @@ def widest_mm(
     """
     from scipy.special import erfc  # as above
 
-    widest = max(max_opening_mm - shape.threshold_mm, APART * narrowest_mm)
+    widest = max(max_opening_mm - shape.threshold_mm, narrowest_mm)
     choices = _choices(shape, narrowest_mm, widest, answered_s, speed_mm_per_s)
     mean_mg, variance = bank.coming(choices.way)
     flow, flow_variance = bank.flow(choices.flow)
