@@ -163,14 +163,15 @@ def test_slower_is_a_quarter_more_than_was_measured_or_else_learnt_and_a_person_
 
 
 @pytest.mark.parametrize(
-    ("by_hand", "adapted", "is_taken"), [(False, False, True), (True, False, False), (False, True, False)]
+    ("by_hand", "adapted", "delay_s", "is_taken"),
+    [(False, False, 0.6, True), (True, False, 0.6, False), (False, True, 0.6, False), (False, False, 0.08, False)],
 )
 def test_a_filter_that_has_begun_to_adapt_is_taken_for_what_a_container_has_shown_of_it(
-    sound: Cell, by_hand: bool, adapted: bool, is_taken: bool
+    sound: Cell, by_hand: bool, adapted: bool, delay_s: float, is_taken: bool
 ) -> None:
     changes: dict[str, Any] = {"changer": SimpleNamespace(needs_person=by_hand), "record": Record(lambda event: None)}
     learnt = BalanceBelief(lag_s=0.3, misfit=0.01, fits=3, adapts=adapted)
-    cell, step = replace(sound, balance_belief=learnt, known_delay_s=0.6, **changes), late_at_last(0.6)
+    cell, step = replace(sound, balance_belief=learnt, known_delay_s=delay_s, **changes), late_at_last(delay_s)
     assert balance_of(step).adapts
     require_known_delay(cell, step)
     assert cell.balance_belief == (balance_of(step) if is_taken else learnt)

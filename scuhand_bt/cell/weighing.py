@@ -229,7 +229,9 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     if is_slower:
         cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
     found, known = balance_of(step), cell.balance_belief
-    is_news = known.fits == 0 or (found.adapts and not known.adapts)
+    # What takes less than a reading longer at its last is no filter that adapts: one that rings looks like it.
+    has_begun_to_adapt = found.adapts and not known.adapts and 2.0 * found.lag_s > delay_s + inexact_s
+    is_news = known.fits == 0 or has_begun_to_adapt
     if is_slower or (is_news and not cell.changer.needs_person):
         cell.balance_belief = found
     if not is_slower and cell.known_delay_s is not None:
