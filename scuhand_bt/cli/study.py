@@ -176,9 +176,13 @@ def _propose(
 
 def tell_odds(odds: "Odds") -> None:
     """The odds, as a person reads them."""
-    several = f"By {odds.trials} dry runs (intervals of 90 %)"
-    by = several if odds.trials > 1 else "By 1 dry run, which tells no interval"
-    out.print(f"\n{by}: it takes {_range(odds.duration_s, format_duration)}.")
+    if odds.tells_intervals:
+        by = f"{odds.trials} dry runs (intervals of 90 %)"
+    elif odds.trials == 1:
+        by = "1 dry run, which tells no interval"
+    else:
+        by = f"{odds.trials} dry runs, which tell no interval (what these had)"
+    out.print(f"\nBy {by}: it takes {_range(odds.duration_s, format_duration)}.")
     kinds = next(iter(odds.leftovers_mg.values()), {})
     table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in kinds), show_edge=False)
     for name, scoops in odds.scoops.items():
