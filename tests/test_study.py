@@ -28,7 +28,7 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.study.change import changed, files_hash, plant_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
-from scuhand_bt.study.optimise import diff, optimised
+from scuhand_bt.study.optimise import Found, Proposal, diff, optimised
 from scuhand_bt.study.plant_files import plant_files
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
@@ -758,6 +758,16 @@ def test_a_value_that_stands_elsewhere_too_is_not_changed(place: str, said: str)
     with pytest.raises(SourceError) as wrong:
         with_value(text, place, "20 mg")
     assert str(wrong.value).startswith(f"{place}: {said}")
+
+
+def test_less_time_is_better_by_what_it_brings() -> None:
+    """Runs that stop at their first failure are over sooner than those that go well."""
+    changes = ((FLOW, "20"),)
+    assert not Proposal(changes, Found(0.0, 600.0), Found(0.0, 1.0)).is_better
+    assert Proposal(changes, Found(0.5, 600.0), Found(0.5, 300.0)).is_better
+    assert Proposal(changes, Found(0.0, 1.0), Found(0.1, 600.0)).is_better
+    assert Proposal(changes, Found(1 / 24, 30.0), Found(1.0, 720.0)).is_better
+    assert not Proposal(changes, Found(1.0, 720.0), Found(1 / 24, 30.0)).is_better
 
 
 @pytest.mark.slow

@@ -166,6 +166,11 @@ def _propose(
     for name, came in (("as written", found.as_written), ("proposed", found.proposed)):
         table.add_row(name, f"{came.good:.1%}", format_duration(came.duration_s))
     out.print(table)
+    if found.proposed.good == 0.0:
+        out.print(
+            f"The best of {candidates} candidates brings no sample into tolerance; without --optimise is told why."
+        )
+        return
     if not found.is_better:
         out.print(f"Of {candidates} candidates the best is no better than what is written.")
         return
