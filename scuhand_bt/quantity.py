@@ -213,6 +213,11 @@ def plain_name(field_name: str) -> str:
     return field_name
 
 
+def counted(count: int, noun: str) -> str:
+    """So many of something whose plural ends in s: "1 sample", "2 samples"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def format_mass(mass_mg: float) -> str:
     """A mass as people read it: mg below 1 g, else g, both to 0.1 mg."""
     return f"{mass_mg:.1f} mg" if abs(mass_mg) < 1000 else f"{mass_mg / 1000:.4f} g"

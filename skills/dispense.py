@@ -39,6 +39,7 @@ from scuhand_bt.dosing.bracket import (
 from scuhand_bt.dosing.characteristic import held_mg
 from scuhand_bt.dosing.hidden_step import fallen_beside_mg
 from scuhand_bt.dosing.verdict import judge
+from scuhand_bt.quantity import counted
 from scuhand_bt.skill import (
     BalanceDoubted,
     Cell,
@@ -367,7 +368,7 @@ class Dispense(Skill[Dose]):
             cell.believed.rest_left()
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"{reached}; what is left in the cone comes only shaken")
         if run.finish.reason == "step_limit":
-            pulses = f"{dose.pulses} pulse{'s' if dose.pulses != 1 else ''}"
+            pulses = counted(dose.pulses, "pulse")
             raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.duration_s / 60.0:.0f} min, in {pulses}")
 
     def _gave_out(self, cell: Cell, reached: str, dose: Dose) -> SkillFailed:

@@ -61,7 +61,7 @@ def test_a_restored_lab_has_all_that_was_there_and_goes_on_with_its_run(
 
     code, out, err = command("restore", archive, again)
     assert (code, err) == (0, "")
-    assert "restored, with 1 runs" in out
+    assert "restored, with 1 run" in out
     assert canonical(journal_of(again)) == export
     assert command("inventory", "--lab", again, "--json")[1] == shown
     assert (again / "trees" / "own.yaml").is_file()

@@ -44,7 +44,7 @@ def test_a_warning_stops_nothing_and_counts_as_an_error_if_wished(command: Call,
         "trees/mine.yaml:6:18: warning: the result 'gross' is not used; $gross, or leave 'as' out [unused-result]"
         in shown
     )
-    assert "1 samples, no problem found; 1 warning." in shown
+    assert "1 sample, no problem found; 1 warning." in shown
 
 
 def test_of_many_problems_the_first_are_told_and_the_others_counted(command: Call, lab: LabFolder) -> None:

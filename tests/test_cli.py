@@ -106,7 +106,7 @@ print("heavy:", [name for name in heavy if name in sys.modules])
 
 def test_check_says_that_a_recipe_is_good(command: Call, recipe: Path) -> None:
     ended = command("check", recipe)
-    assert (ended.returncode, ended.stdout) == (0, f"{recipe}: 1 samples, no problem found.\n")
+    assert (ended.returncode, ended.stdout) == (0, f"{recipe}: 1 sample, no problem found.\n")
     found = json.loads(command("check", recipe, "--json").stdout)
     assert {key: found[key] for key in ("ok", "samples", "problems")} == {"ok": True, "samples": 1, "problems": []}
 
@@ -211,7 +211,7 @@ def test_init_makes_a_lab_that_checks_and_never_overwrites(command: Call, tmp_pa
 def test_a_dry_run_says_that_it_is_simulated_and_ends_with_a_table(command: Call, recipe: Path, tmp_path: Path) -> None:
     ended = command("run", recipe, "--dry-run", "--seed", 3, "--json", tmp_path / "out.json")
     assert ended.returncode in (0, 1), ended.stderr
-    assert ended.stdout.splitlines()[0].startswith("small: 1 samples on the cell 'starter', SIMULATED (seed 3)")
+    assert ended.stdout.splitlines()[0].startswith("small: 1 sample on the cell 'starter', SIMULATED (seed 3)")
     assert "[1/1] a: " in ended.stdout
     assert "\x1b" not in ended.stdout
     assert "Journal: " in ended.stdout

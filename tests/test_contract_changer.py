@@ -1,15 +1,19 @@
 """What `devices.interfaces.Changer` says, of the simulated carousel and of the operator's hands alike."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from device_benches import DeviceBench
 
 from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.interfaces import Operator
+from scuhand_bt.clock import Signal, Steps, Wake
+from scuhand_bt.device_specs.changer import CarouselOptions
+from scuhand_bt.devices.carousel import Carousel, Swing
+from scuhand_bt.devices.interfaces import Operator, Trajectory
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
@@ -19,6 +23,7 @@ from scuhand_bt.run.operator import OperatorChanger
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.specs import Container
 
+SLOT_RAD = 2.0 * math.pi / 24
 PAN = Station(name="balance", kind="balance", position_mm=(330.0, 0.0, 60.0))
 
 
@@ -138,3 +143,44 @@ def test_what_an_earlier_run_has_left_on_the_pan_is_the_operators_to_see() -> No
     changer = OperatorChanger(bench.person, may_be_loaded=True)
     bench.run(changer.take_away())
     assert bench.person.asked == ["Take the container off the pan."]
+
+
+class Wheel:
+    """A wheel of 24 slots that stands wherever its last motion ends; it keeps that motion."""
+
+    fault = trouble = motion = None
+    is_moving = False
+
+    def __init__(self, place: float) -> None:
+        self.news = Signal()
+        self.positions_rad = np.array([place * SLOT_RAD])
+
+    def move(self, motion: Trajectory) -> None:
+        self.motion, self.positions_rad = motion, motion.sample(motion.duration_s)
+
+
+def turned(wheel: Wheel, slot: int) -> Trajectory:
+    """How the carousel's driver, at 2 s from one slot to the next, turns this wheel to bring what is in a slot."""
+    carousel = Carousel(24, CarouselOptions(slot_s=2.0), cast(Any, wheel), cast(Any, wheel), lambda _: slot)
+    list(carousel.bring(dish("one")))
+    assert wheel.motion is not None
+    return wheel.motion
+
+
+def hardest(turn: Trajectory) -> Any:
+    """The highest speed and acceleration [slots/s, slots/s²], by differences of where the wheel is sent."""
+    times_s, step_s = np.linspace(0.0, turn.duration_s, 401, retstep=True)
+    speeds = np.diff([turn.sample(time_s)[0] / SLOT_RAD for time_s in times_s]) / step_s
+    return np.array([np.abs(speeds).max(), np.abs(np.diff(speeds) / step_s).max()])
+
+
+@pytest.mark.parametrize(("place", "slot"), [(-0.5, 0), (-0.2, 0), (-1.5, 0), (-0.5, 9), (8.5, 8)])
+def test_no_turn_pushes_containers_harder_or_faster_than_from_one_slot_to_the_next(place: float, slot: int) -> None:
+    assert (hardest(turned(Wheel(place), slot)) <= 1.001 * hardest(Swing(0.0, SLOT_RAD, 2.0))).all()
+
+
+def test_half_a_slot_takes_less_than_a_whole_one_and_as_long_in_dry_runs() -> None:
+    half_s = turned(Wheel(-0.5), 0).duration_s
+    assert half_s < 1.5
+    bench = ChangerBench("carousel")
+    assert bench.timed(bench.device.bring(dish("one"))) == pytest.approx(half_s, abs=0.01)

@@ -812,6 +812,27 @@ def test_a_station_of_another_version_is_listed_and_gets_no_jobs(
     assert (one["name"], one["offer"]) == ("older", None)
 
 
+def test_cancel_says_what_becomes_of_the_job(database: str, order: Submission, offer: Offer, command: Call) -> None:
+    where = ("--database", database)
+
+    async def submitted() -> None:
+        async with enrolled(database, offer, "here") as queue:
+            await queue.submit([but(order, stations=("here",), key=key) for key in ("first", "second")])
+            assert await queue.take("here") is not None
+
+    async def silent(hours: int) -> None:
+        async with open_queue(database) as queue:
+            query = "UPDATE scuhand_stations SET seen = now() - %(hours)s * interval '1 hour'"
+            await queue._database.execute_query_async(query, hours=hours)
+
+    run(submitted())
+    assert command("cancel", 2, *where)[:2] == (0, "job 2 is cancelled.\n")
+    assert command("cancel", 1, *where)[:2] == (0, "job 1 stops at 'here' after its current sample.\n")
+    run(silent(3))
+    said = command("cancel", 1, *where).stdout
+    assert said.startswith("job 1 is to stop, but 'here', which has taken it, was last heard of 3 h 00 min ago: ")
+
+
 def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
     code, _, err = command("station")
     assert code == 2

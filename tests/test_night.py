@@ -217,10 +217,10 @@ def test_a_trial_says_when_a_person_was_asked(lab_folder: LabFolder) -> None:
 @pytest.mark.slow
 def test_plan_says_what_its_night_holds(lab_folder: LabFolder, command: Call) -> None:
     path = lab_folder.write("recipes/two.yaml", RECIPE)
-    said = command("plan", path, "--trials", "2", "--workers", "1", "--night", "20:00-08:00")
+    said = command("plan", path, "--trials", "3", "--workers", "1", "--night", "20:00-08:00")
     assert "with nobody there: 1 of 4 samples" in said.stdout
-    refused = command("plan", path, "--trials", "1", "--night", "20:00-08:00")
-    told = json.loads(command("plan", path, "--trials", "2", "--night", "20:00-08:00", "--json").stdout)["night"]
+    refused = command("plan", path, "--trials", "2", "--night", "20:00-08:00")
+    told = json.loads(command("plan", path, "--trials", "3", "--night", "20:00-08:00", "--json").stdout)["night"]
     assert (told["lasts_s"], [one["why"] is None for one in told["samples"]]) == (43200.0, [True, False, False, False])
     assert (said.returncode, refused.returncode) == (0, 2)
-    assert "at least two" in refused.stderr, "one does not tell how much they differ"
+    assert "at least 3" in refused.stderr, "two do not tell how much runs differ"

@@ -98,7 +98,7 @@ def stops(lab_folder: LabFolder) -> Path:
 def test_the_page_of_a_plan_whose_runs_stop_says_what_none_has_come_to(
     stops: Path, command: Call, tmp_path: Path
 ) -> None:
-    ended = command("plan", stops, "--html", tmp_path / "plan.html", "--trials", "2", "--night", "20:00-08:00")
+    ended = command("plan", stops, "--html", tmp_path / "plan.html", "--trials", "3", "--night", "20:00-08:00")
     assert ended.returncode == 0, ended.stderr
     tables = Tables((tmp_path / "plan.html").read_text(encoding="utf-8"))
     order = {row[1]: row[7] for row in tables.found["The order"][1:]}

@@ -95,7 +95,7 @@ def test_each_source_must_hold_what_is_taken_from_it_and_no_more(desk: Desk) -> 
     demands = {demand.source.name: (demand.samples, demand.needed_mg) for demand in made.demands}
     assert demands == {"beads": (3, 360.0), "other": (2, 40.0 + 20.0 + 4500.0 + 20.0)}
     (said,) = desk.problems(recipe(f"id: a, {MIXED}, more: 5 g"))
-    assert said.startswith("6:3: 'other' holds 5.0000 g of monosodium_glutamate, but its 1 samples need 5.0")
+    assert said.startswith("6:3: 'other' holds 5.0000 g of monosodium_glutamate, but its 1 sample needs 5.0")
 
 
 @pytest.mark.usefixtures("lab")

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from dose_bench import shipped_powders
 
+from scuhand_bt.cli.study import tell_odds
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
@@ -27,7 +28,7 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.study.change import changed, files_hash, plant_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
-from scuhand_bt.study.optimise import diff, optimised
+from scuhand_bt.study.optimise import Found, Proposal, diff, optimised
 from scuhand_bt.study.plant_files import plant_files
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
@@ -550,6 +551,23 @@ def test_odds_hold_alike_samples_together_and_warn_of_those_that_fail(setup: Set
     assert odds.scoops["beads"].low == 1.0 < odds.scoops["beads"].high == 2.0
 
 
+def test_two_trials_tell_what_they_had_and_no_interval(setup: Setup, capsys: pytest.CaptureFixture[str]) -> None:
+    """By Student's t of one degree of freedom a run of 5 to 13 minutes took from seconds to half a day."""
+    lab = load_lab(setup.lab)
+    plan = make_plan(load_recipe(setup.recipe, lab), lab)
+    odds = odds_of(plan, [fake(0, 300.0, "abc"), fake(1, 780.0, "abc")])
+    assert (odds.duration_s.low, odds.duration_s.high) == (300.0, 780.0)
+    assert (odds.scoops["beads"].low, odds.scoops["beads"].high) == (1.0, 2.0)
+    tell_odds(odds)
+    said = " ".join(capsys.readouterr().out.split())
+    assert (
+        "By 2 dry runs, which tell no interval (what these had): it takes 9 min 00 s (5 min 00 s to 13 min 00 s)."
+        in said
+    )
+    tell_odds(odds_of(plan, [fake(seed, 300.0, "abc") for seed in range(3)]))
+    assert "By 3 dry runs (intervals of 90 %): it takes" in " ".join(capsys.readouterr().out.split())
+
+
 def test_what_is_varied_of_the_samples_is_judged_by_the_trials_that_asked_for_it(setup: Setup) -> None:
     """As of `repeat`: a trial has fewer samples than are written, or more; `a` and `b`, alike as written, are not."""
     lab = load_lab(setup.lab)
@@ -683,8 +701,8 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
                        "powder: monosodium_glutamate, amount: 5 g}\nsamples:").replace(
                            "{id: c, source: beads", "{id: c, source: msg"), encoding="utf-8"
     )  # fmt: skip
-    shown = command("plan", setup.recipe, "--trials", 2).stdout
-    assert "By 2 dry runs (intervals of 90 %): it takes " in shown
+    shown = command("plan", setup.recipe, "--trials", 3).stdout
+    assert "By 3 dry runs (intervals of 90 %): it takes " in shown
     assert "swap the sheet (two screws), wipe rollers and clamp (after " in shown
     one = " ".join(command("plan", setup.recipe, "--trials", 1).stdout.split())
     assert re.search(r"By 1 dry run, which tells no interval: it takes [^(]+\. ", one)
@@ -740,6 +758,16 @@ def test_a_value_that_stands_elsewhere_too_is_not_changed(place: str, said: str)
     with pytest.raises(SourceError) as wrong:
         with_value(text, place, "20 mg")
     assert str(wrong.value).startswith(f"{place}: {said}")
+
+
+def test_less_time_is_better_by_what_it_brings() -> None:
+    """Runs that stop at their first failure are over sooner than those that go well."""
+    changes = ((FLOW, "20"),)
+    assert not Proposal(changes, Found(0.0, 600.0), Found(0.0, 1.0)).is_better
+    assert Proposal(changes, Found(0.5, 600.0), Found(0.5, 300.0)).is_better
+    assert Proposal(changes, Found(0.0, 1.0), Found(0.1, 600.0)).is_better
+    assert Proposal(changes, Found(1 / 24, 30.0), Found(1.0, 720.0)).is_better
+    assert not Proposal(changes, Found(1.0, 720.0), Found(1 / 24, 30.0)).is_better
 
 
 @pytest.mark.slow

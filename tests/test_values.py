@@ -334,7 +334,7 @@ def test_powder_for_a_mass_that_is_known_only_at_run_time_is_planned_at_its_boun
     assert mixed.last_source is not None
     assert mixed.last_source.name == "msg"
     said = desk.problems(SOURCES % "510 mg" + sample)  # 20 mg are lost with a scoop
-    short = "'msg' holds 510.0 mg of monosodium_glutamate, but its 1 samples need 521.0 mg with losses"
+    short = "'msg' holds 510.0 mg of monosodium_glutamate, but its 1 sample needs 521.0 mg with losses"
     assert said == [f"4:3: {short}; begin with at least 521.0 mg"]
 
 

@@ -8,6 +8,7 @@ from rich.text import Text
 
 from scuhand_bt.cli.shared import JsonFlag, LabOption, app, first_of, notes_of, out, print_json
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.quantity import counted
 
 if TYPE_CHECKING:
     from scuhand_bt.problems import Problem
@@ -38,7 +39,11 @@ def check(
             out.print(Text(line_of(problem)), soft_wrap=True)
         if rest:
             out.print(Text(rest), soft_wrap=True)
-        _sum_up(found.problems, len(found.errors), f"{recipe}: {samples} samples" if recipe else f"{found.lab.folder}")
+        _sum_up(
+            found.problems,
+            len(found.errors),
+            f"{recipe}: {counted(samples, 'sample')}" if recipe else f"{found.lab.folder}",
+        )
     if is_bad:
         raise typer.Exit(ExitCode.BAD_INPUT)
 
@@ -51,12 +56,11 @@ def line_of(problem: "Problem") -> str:
 
 def _sum_up(problems: "tuple[Problem, ...]", errors: int, what: str) -> None:
     warnings = len(problems) - errors
-    also = f"{warnings} warning{'s' if warnings > 1 else ''}" if warnings else ""
+    also = counted(warnings, "warning") if warnings else ""
     if not errors:
         out.print(Text(f"{what}, no problem found{'; ' + also if also else ''}."), soft_wrap=True)
     elif errors > 1 or also:
-        count = f"{errors} problem{'s' if errors > 1 else ''}"
-        out.print(f"{count}{' and ' + also if also else ''}; nothing was moved.")
+        out.print(f"{counted(errors, 'problem')}{' and ' + also if also else ''}; nothing was moved.")
 
 
 def values_of(problem: "Problem") -> dict[str, object]:

@@ -135,14 +135,26 @@ def cancel(
     _require_fleet()
     from scuhand_bt.fleet import open_queue
 
-    async def cancelled() -> bool:
+    async def cancelled() -> "tuple[bool, KnownStation | None]":
         async with open_queue(database) as queue:
-            return await queue.cancel(job)
+            is_cancelled = await queue.cancel(job)
+            return is_cancelled, await queue.at_work_on(job) if is_cancelled else None
 
-    if not _answered(cancelled(), "whether it was cancelled is not known: `scuhand-bt queue` tells"):
+    is_cancelled, by = _answered(cancelled(), "whether it was cancelled is not known: `scuhand-bt queue` tells")
+    if not is_cancelled:
         err.print(Text(f"job {job} neither waits nor is it run; `scuhand-bt queue --all` lists all"))
         raise typer.Exit(ExitCode.BAD_INPUT)
-    out.print(Text(f"job {job} is cancelled, or stops after its current sample."))
+    if by is None:
+        said = "is cancelled."
+    elif by.is_there:
+        said = f"stops at '{by.name}' after its current sample."
+    else:
+        heard = "has ended" if by.has_ended else f"was last heard of {format_duration(by.silent_s)} ago"
+        said = (
+            f"is to stop, but '{by.name}', which has taken it, {heard}: its run goes on until that is there again, and "
+            "one that was interrupted is given up then; look at the cell first."
+        )
+    out.print(Text(f"job {job} {said}"), soft_wrap=True)
 
 
 @app.command()

@@ -9,6 +9,7 @@ from rich.text import Text
 from scuhand_bt.cli.shared import LabOption, app, err, out
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
+from scuhand_bt.quantity import counted
 
 
 @app.command()
@@ -21,7 +22,7 @@ def backup(
     from scuhand_bt.report import back_up
 
     count = back_up(find_lab(None, lab), find_state(lab), archive)
-    out.print(Text(f"{archive}: {count} files."), soft_wrap=True)
+    out.print(Text(f"{archive}: {counted(count, 'file')}."), soft_wrap=True)
 
 
 @app.command()
@@ -44,7 +45,7 @@ def restore(
             wrong.append(str(error))
     if (problem := Ledger(find_state(folder)).verified().problem) is not None:
         wrong.append(f"the lab's ledger: {problem}")
-    out.print(Text(f"{folder}: restored, with {len(journals)} runs."), soft_wrap=True)
+    out.print(Text(f"{folder}: restored, with {counted(len(journals), 'run')}."), soft_wrap=True)
     for what in wrong:
         err.print(Text(f"Not as it was written, and copied as it was: {what}."))
     if wrong:

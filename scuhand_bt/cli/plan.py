@@ -116,10 +116,10 @@ def plan(
 
 
 def _night(text: str, trials: int) -> "Night":
-    from scuhand_bt.study import read_night
+    from scuhand_bt.study import FEWEST, read_night
 
-    if trials < 2:  # one does not tell how much they differ, and its times were taken for certain
-        raise typer.BadParameter("what a night holds is told by dry runs: at least two", param_hint="--trials")
+    if trials < FEWEST:  # they do not tell how much runs differ, and their times were taken for certain
+        raise typer.BadParameter(f"what a night holds is told by dry runs: at least {FEWEST}", param_hint="--trials")
     return read_night(text)
 
 

@@ -166,6 +166,11 @@ def _propose(
     for name, came in (("as written", found.as_written), ("proposed", found.proposed)):
         table.add_row(name, f"{came.good:.1%}", format_duration(came.duration_s))
     out.print(table)
+    if found.proposed.good == 0.0:
+        out.print(
+            f"The best of {candidates} candidates brings no sample into tolerance; without --optimise is told why."
+        )
+        return
     if not found.is_better:
         out.print(f"Of {candidates} candidates the best is no better than what is written.")
         return
@@ -176,9 +181,13 @@ def _propose(
 
 def tell_odds(odds: "Odds") -> None:
     """The odds, as a person reads them."""
-    several = f"By {odds.trials} dry runs (intervals of 90 %)"
-    by = several if odds.trials > 1 else "By 1 dry run, which tells no interval"
-    out.print(f"\n{by}: it takes {_range(odds.duration_s, format_duration)}.")
+    if odds.tells_intervals:
+        by = f"{odds.trials} dry runs (intervals of 90 %)"
+    elif odds.trials == 1:
+        by = "1 dry run, which tells no interval"
+    else:
+        by = f"{odds.trials} dry runs, which tell no interval (what these had)"
+    out.print(f"\nBy {by}: it takes {_range(odds.duration_s, format_duration)}.")
     kinds = next(iter(odds.leftovers_mg.values()), {})
     table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in kinds), show_edge=False)
     for name, scoops in odds.scoops.items():

@@ -1,5 +1,6 @@
 """What brings containers, and how many."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated
 
@@ -24,6 +25,13 @@ class CarouselOptions(Spec):
     """Its position with the first slot on the pan."""
     slot_s: Annotated[Seconds, Field(ge=0.2, le=60)] = 2.0
     """How long it turns from one slot to the next: containers slide along, and powder in them is not to be shaken."""
+
+    def swing_s(self, slots: float) -> float:
+        """How long a turn by so many slots, half a one say, takes [s].
+
+        Nothing is accelerated harder than from one slot to the next, nor pushed along faster.
+        """
+        return max(slots, math.sqrt(slots)) * self.slot_s
 
 
 def _slots_of(given: object) -> object:

@@ -67,12 +67,17 @@ class Carousel:
             DynamixelBus(spec.port, options.baud, 1000 * options.latency_s), [group], Signal(), site.liveness
         )
         chain.open()  # also one without torque: holding a wheel where it is moves nothing
-        return cls(spec.slot_count, options.slot_s, chain, group, site.slot_of)
+        return cls(spec.slot_count, options, chain, group, site.slot_of)
 
     def __init__(
-        self, slots: int, slot_s: float, chain: ServoChain, group: AxisGroup, slot_of: Callable[[Container], int]
+        self,
+        slots: int,
+        options: CarouselOptions,
+        chain: ServoChain,
+        group: AxisGroup,
+        slot_of: Callable[[Container], int],
     ) -> None:
-        self._slots, self._slot_s = slots, slot_s
+        self._slots, self._options = slots, options
         self._chain, self._group = chain, group
         self._slot_of = slot_of
         self._on_pan: str | None = None
@@ -137,7 +142,7 @@ class Carousel:
     def _turn(self, place: float) -> Steps[None]:
         begin_rad, way = float(self._group.positions_rad[0]), self._way_to(place)
         end_rad = begin_rad + way / self._slots * 2 * math.pi
-        self._group.move(Swing(begin_rad, end_rad, max(1.0, abs(way)) * self._slot_s))
+        self._group.move(Swing(begin_rad, end_rad, self._options.swing_s(abs(way))))
         yield from self._rest()
         if (fault := self._group.fault) is not None:
             raise _of_carousel(fault)

@@ -201,6 +201,13 @@ class Queue:
         """A job that waits is not run, one that is run is to stop; False for one that is over, or was never there."""
         return abs(number) <= LAST and await self._jobs.cancel_job_by_id_async(number, abort=True)
 
+    async def at_work_on(self, number: int) -> KnownStation | None:
+        """The station that has taken a job and not settled it; None for one that waits, or is over."""
+        query = "SELECT queue_name FROM procrastinate_jobs WHERE id = %(number)s AND status = 'doing'"
+        rows = await self._database.execute_query_all_async(query, number=number)
+        names = {row["queue_name"] for row in rows}
+        return next((station for station in await self.stations() if station.name in names), None)
+
     async def forget(self, name: str) -> bool:
         """A station that is no more; False for one that has jobs, or was never there."""
         query = """DELETE FROM scuhand_stations WHERE name = %(name)s AND NOT EXISTS (

@@ -17,7 +17,7 @@ from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.dosing.strokes import LOAD_AIM, scooped_for_mg
 from scuhand_bt.motion import ApexPose, Mount, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
-from scuhand_bt.quantity import format_mass
+from scuhand_bt.quantity import counted, format_mass
 from scuhand_bt.recipe.composition import Composition
 from scuhand_bt.recipe.flow import Flow, Pour, each_of, sources_of
 from scuhand_bt.specs import Container, Powder, Source
@@ -346,7 +346,8 @@ def check_demand(
             problems.add(marks[name], f"{what}, but {needs}", allowed, code="source-short")
         elif source.refill_mg is None and demand.needed_mg > source.amount_mg:
             holds = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
-            needs = f"its {demand.samples} samples need {format_mass(demand.needed_mg)} with losses"
+            its = f"its {counted(demand.samples, 'sample')} {'needs' if demand.samples == 1 else 'need'}"
+            needs = f"{its} {format_mass(demand.needed_mg)} with losses"
             ways = []
             if demand.needed_mg <= source.capacity_mg:
                 ways.append(f"begin with at least {_rounded(demand.needed_mg, math.ceil)}")

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.journal.results import SampleResult
-from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.quantity import counted, format_duration, format_mass
 from scuhand_bt.report.doses import dose_name, doses_table, said_of
 from scuhand_bt.run.questions import MEANINGS
 
@@ -179,7 +179,7 @@ def in_words(result: SampleResult) -> str:
     else:
         doses = ((dose, _dispensed(dose.dispensed_mg, dose.target_mg, dose.error_mg)) for dose in result.doses)
         said = "; ".join(f"{dose_name(dose, result)} {masses}, {said_of(dose)}" for dose, masses in doses)
-    pulses = f"{result.pulses} pulse{'s' if result.pulses != 1 else ''}"
+    pulses = counted(result.pulses, "pulse")
     line = f"{said} in {pulses}, {format_duration(result.duration_s)}: {said_of(result)}"
     return line + why
 

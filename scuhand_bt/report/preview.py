@@ -39,6 +39,7 @@ def preview_page(
         "preview.html",
         recipe=recipe.name,
         trials=odds.trials,
+        tells_intervals=odds.tells_intervals,
         covered=f"{COVERED:.0%}",
         figures=[
             ("time", _range(odds.duration_s, format_duration)),

@@ -68,7 +68,8 @@ def _draw_time(axes: "Axes", odds: Odds, trials: Sequence[Trial]) -> None:
     from matplotlib.ticker import MaxNLocator
 
     expected = odds.duration_s
-    axes.axvspan(expected.low / 60.0, expected.high / 60.0, color=GREEN, label="interval of 90 %")
+    label = "interval of 90 %" if odds.tells_intervals else "too few for an interval"
+    axes.axvspan(expected.low / 60.0, expected.high / 60.0, color=GREEN, label=label)
     axes.hist([one.duration_s / 60.0 for one in trials], bins="auto", color=BLUE)
     axes.axvline(expected.middle / 60.0, color=RED, label="median")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))

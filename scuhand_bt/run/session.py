@@ -21,7 +21,7 @@ from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.lab_state.ledger import Occasion
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.quantity import format_mass
+from scuhand_bt.quantity import counted, format_mass
 from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
@@ -252,15 +252,14 @@ class Session:
         on_cell = ON_TWINS if self.cell.simulated else "real devices"
         mode = f"{simulation.mode} (seed {simulation.seed})" if simulation is not None else on_cell
         if simulation is not None and simulation.faults is not None:
-            count = len(simulation.faults.rules)
-            mode += f", {count} fault {'rule' if count == 1 else 'rules'}"
+            mode += f", {counted(len(simulation.faults.rules), 'fault rule')}"
         if self._options.slow_ratio < 1.0:
             mode += f", at {self._options.slow_ratio:.0%} of its speed"
         if self._options.single_step:
             mode += ", in single step"
         again = "resumed, " if self._history is not None else ""
-        count = len(self.plan.recipe.samples)
-        return f"{self.plan.recipe.name}: {again}{count} samples on the cell '{self._lab.cell.cell}', {mode}"
+        count = counted(len(self.plan.recipe.samples), "sample")
+        return f"{self.plan.recipe.name}: {again}{count} on the cell '{self._lab.cell.cell}', {mode}"
 
     def run(self, observer: BatchObserver) -> BatchResult:
         """Run the batch to its end; whatever happens, the cell ends safe. RuntimeError the second time."""

@@ -59,7 +59,7 @@ def simulated_cell(
         arm=arm,
         hand=hand,
         balance=balance,
-        changer=changer or SimulatedChanger(clock, world, spec.changer.options.slot_s),
+        changer=changer or SimulatedChanger(clock, world, spec.changer.options.swing_s(0.5)),
         operator=operator,
         motion=motion,
         sources=sources,

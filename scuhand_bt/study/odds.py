@@ -24,6 +24,8 @@ COVERED = 0.9
 """Of the intervals."""
 MODEL_SHARE = 0.05
 """Standard deviation of that, as a share of a time."""
+FEWEST = 3
+"""Trials that tell an interval: by two, Student's t makes of 5 and of 13 minutes some seconds to half a day."""
 UNFORESEEN = 0.02
 """Of the samples of a cell, those that fail by what it has and a simulation has not. On `tuning` plants of
 `harness.random_plants`, whose physics shares nothing with the trials', 10 of 340 doses of beads and crystals failed
@@ -38,7 +40,8 @@ RATES = 64
 
 @dataclass(frozen=True)
 class Range:
-    """What to expect of a figure: its median, and an interval; of one dry run, which tells none, its own figure."""
+    """What to expect of a figure: its median, and an interval; of fewer than `FEWEST` dry runs, which tell none, the
+    least and the greatest that they had."""
 
     low: float
     middle: float
@@ -88,6 +91,11 @@ class Odds:
     def person_s(self, job: str) -> Range | None:
         """When a person is needed in a job; where no trial has asked for one, when it begins, if any has begun it."""
         return self.asked_s.get(job) or self.began_s.get(job)
+
+    @property
+    def tells_intervals(self) -> bool:
+        """Whether the ranges are where `COVERED` of runs are to be expected, not only what so few trials had."""
+        return self.trials >= FEWEST
 
     @property
     def unlikely(self) -> list[str]:
@@ -149,9 +157,9 @@ def _of_jobs(plan: Plan, times_s: Sequence[Mapping[str, float]]) -> dict[str, Ra
 
 
 def _of_times(times_s: Sequence[float]) -> Range:
-    """Of one more run like these: times differ by factors, and one run does not tell by how much."""
+    """Of one more run like these: times differ by factors, and few runs do not tell by how much."""
     many = len(times_s)
-    if many == 1 or min(times_s) <= 0.0:
+    if many < FEWEST or min(times_s) <= 0.0:
         return _seen(times_s)
     logs = np.log(times_s)
     chance = float(np.std(logs, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
@@ -161,7 +169,8 @@ def _of_times(times_s: Sequence[float]) -> Range:
 
 
 def _seen(values: Sequence[float]) -> Range:
-    low, middle, high = np.quantile(values, ((1.0 - COVERED) / 2.0, 0.5, (1.0 + COVERED) / 2.0))
+    covered = COVERED if len(values) >= FEWEST else 1.0
+    low, middle, high = np.quantile(values, ((1.0 - covered) / 2.0, 0.5, (1.0 + covered) / 2.0))
     return Range(float(low), float(middle), float(high))
 
 

@@ -2,7 +2,7 @@
 
 What is made least is the share of samples that are not in tolerance, and a little the time:
 
-    1 - good + TIME_WORTH duration / duration as written
+    1 - good + TIME_WORTH (duration / good) / (duration / good as written)
 
 by a tree-structured Parzen estimator (Bergstra et al., Advances in Neural Information Processing Systems 24, 2011;
 Optuna). All candidates have the same seeds.
@@ -34,7 +34,11 @@ class Found:
     duration_s: float
 
     def cost(self, as_written: "Found") -> float:
-        return 1.0 - self.good + TIME_WORTH * self.duration_s / as_written.duration_s
+        """Runs that stop at a failure take little time: it counts by what they bring, and not where that is nothing."""
+        if self.good == 0.0 or as_written.good == 0.0:
+            return 1.0 - self.good + TIME_WORTH
+        share = self.duration_s / self.good / (as_written.duration_s / as_written.good)
+        return 1.0 - self.good + TIME_WORTH * share
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from scuhand_bt.quantity import format_duration
+from scuhand_bt.quantity import counted, format_duration
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.study.night import Night
 from scuhand_bt.study.odds import Odds, Range
@@ -53,5 +53,5 @@ def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]
         at = "at " if night is not None else ""
         span = f"from {first} to {last}" if first != last else f"{at}{first}"
         span += " after it" if night is None else ""
-        times.append(f"{span} ({len(stay.jobs)} {'moment' if len(stay.jobs) == 1 else 'moments'})")
+        times.append(f"{span} ({counted(len(stay.jobs), 'moment')})")
     yield f"So a person comes {len(found) + 1} times: for the start, and {', '.join(times)}."
