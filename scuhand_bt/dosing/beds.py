@@ -35,8 +35,7 @@ def strokes_in(
     none.
     """
     if isinstance(bed, JarBed):
-        along = [bed.chosen(wanted_mg, heading_deg) for heading_deg in headings_deg]
-        yield from sorted(along, key=bed.expected_mg, reverse=True)
+        yield from bed.strokes(wanted_mg, headings_deg)
         return
     widest = strokes.chosen(bed, sheet_radius_mm, wanted_mg)
     yield from (replace(widest, heading_deg=heading_deg) for heading_deg in headings_deg)

@@ -90,6 +90,8 @@ SIDES_MM = 0.4
 """S: how much thicker at the bore's edge is what strokes with a gap leave. By the height field."""
 SPARE, SPARE_MG = 2.0, 2000.0
 """Times what is to be dosed that a scoop is to bring, and so much more."""
+LAST_SHARE = 1 / 3
+"""Of a load, what a dose is not begun with: the end of it flows badly, and less may be there than is believed."""
 LOAD_AIM = 0.95
 """Share of the powder's load limit that a scoop aims at, at most: what it collects varies."""
 RINGS = 100
