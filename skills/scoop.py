@@ -131,12 +131,17 @@ class Scoop(Skill[Milligrams]):
         except NoStrokeError as error:
             raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
 
-    def _out_of_reach(self, in_mortar_mg: float) -> SkillFailed:
-        left = f"of the {format_mass(in_mortar_mg)} that are believed to be in '{self.source.name}'"
+    def _out_of_reach(self, in_mortar_mg: float, *, was_scooped_from: bool) -> SkillFailed:
+        source = self.source
+        left = f"of the {format_mass(in_mortar_mg)} that are believed to be in '{source.name}'"
+        lies = "before the jar's wall and beside the strokes" if was_scooped_from else "too thin on the jar's floor"
+        lot = f" --lot {source.lot}" if source.lot else ""
+        say_so = f"scuhand-bt inventory set {source.station} MASS --powder {source.powder.name}{lot}"
         return SkillFailed(
             Code.SOURCE_EMPTY,
-            f"{left} a stroke would bring less than {format_mass(LEAST_MG)}: they lie before the jar's wall and beside "
-            "the strokes; fill some in, or heap what is there up in the middle and say so",
+            f"{left} a stroke would bring less than {format_mass(LEAST_MG)}: they lie {lies}. Pour more into the middle, "
+            f"say how much there is then ({say_so}) and resume; or spread what is there, and begin a new run, which "
+            "takes it to be level",
         )
 
     def _planned(self, cell: Cell, wished: Iterator[Stroke]) -> "tuple[Stroke, StoppableTrajectory]":
@@ -149,8 +154,10 @@ class Scoop(Skill[Milligrams]):
                 return stroke, cell.plan_stroke(stroke_path(vessel, stroke, ladle), self.source)
             except (NoStrokeError, SkillFailed) as error:
                 why = why or error
-        if vessel.floor_mm > 0.0 and (why is None or self.source.name in cell.believed.layers):
-            raise self._out_of_reach(cell.believed.sources_mg[self.source.name])
+        was_scooped_from = self.source.name in cell.believed.layers
+        if vessel.floor_mm > 0.0 and (why is None or was_scooped_from):
+            in_mortar_mg = cell.believed.sources_mg[self.source.name]
+            raise self._out_of_reach(in_mortar_mg, was_scooped_from=was_scooped_from)
         raise SkillFailed(Code.ARM_NO_PATH, f"at '{self.source.station}' no stroke is possible in any direction: {why}")
 
     def _headings_deg(self, cell: Cell) -> list[float]:

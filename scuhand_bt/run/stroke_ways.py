@@ -11,7 +11,7 @@ from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.beds import bed_in, expected_mg, strokes_in
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.jars import COUNTED_ON_DEG, JarBed, sure_doses
-from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
@@ -113,16 +113,17 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
     SkillFailed arm.* where the arm can make none; MortarCannotBeScooped where those that it can make are not sure to
     bring the doses, or fewer than the plan counts on before the first refill.
     """
-    source, slant_mm, why_not = demand.source, cell.hand.sheet_radius_mm, dict[float, str]()
+    source, slant_mm, why_not = demand.source, cell.hand.sheet_radius_mm, dict[tuple[float, bool], str]()
 
     def arm_can(stroke: Stroke) -> bool:
-        if stroke.heading_deg not in why_not:
-            why_not[stroke.heading_deg] = ""
+        way = stroke.heading_deg, stroke.gap_mm <= LIP_GAP_MM  # a lip on the floor has the hand nearest to the wall
+        if way not in why_not:
+            why_not[way] = ""
             try:
                 swing_and_out(motion, cell, source, stroke)
             except (NoStrokeError, SkillFailed) as error:
-                why_not[stroke.heading_deg] = str(error)
-        return not why_not[stroke.heading_deg]
+                why_not[way] = str(error)
+        return not why_not[way]
 
     everywhere_deg = list(headings_deg(cell, source.station))
     jar = JarBed(source.mortar, source.amount_mg, source.powder, slant_mm)
@@ -131,7 +132,7 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
         doses_mg = doses_mg[: max(1, sure_doses(jar, doses_mg, COUNTED_ON_DEG, is_discarded=source.is_discarded))]
     sure = sure_doses(jar, doses_mg, everywhere_deg, is_discarded=source.is_discarded, may_be=arm_can)
     if why_not and all(why_not.values()):
-        why = next(filter(None, map(why_not.get, everywhere_deg)), "")
+        why = why_not[min(why_not, key=lambda way: everywhere_deg.index(way[0]))]
         raise SkillFailed(Code.ARM_NO_PATH, f"at '{source.station}' no stroke is possible in any direction: {why}")
     if sure < len(doses_mg):
         of = f"of {format_mass(source.amount_mg)} in this jar the strokes that the arm can make at '{source.station}'"
