@@ -102,9 +102,8 @@ def test_check_counts_what_is_thrown_away_of_a_jar(lab_folder: LabFolder, doses:
     problems = found(lab_folder, jar(), recipe([300.0] * doses) + "leftover: discard\n")
     assert len(problems) == (not is_enough)
     for problem in problems:
-        assert re.search(
-            r"bring 2 of its doses .* 4 \(.*\) are needed, what is left of each load is thrown away", str(problem)
-        )
+        assert "bring 2 of its doses (" in problem.message
+        assert "are needed, what is left of each load is thrown away" in problem.message
 
 
 def test_a_jar_is_refilled_before_the_first_dose_that_is_not_sure_to_come(lab_folder: LabFolder) -> None:
@@ -118,7 +117,7 @@ def test_a_jar_is_refilled_before_the_first_dose_that_is_not_sure_to_come(lab_fo
     first = {}
     for name in ("jar", "gone"):
         plan = make_plan(load_recipe(lab_folder.folder / "recipes" / f"{name}.yaml", lab), lab)
-        first[name] = [job.name for job in plan.jobs if job.workflow == "refill"][0]
+        first[name] = next(job.name for job in plan.jobs if job.workflow == "refill")
     assert first == {"jar": "refill msg for s8", "gone": "refill msg for s2"}
 
 

@@ -52,6 +52,13 @@ def expected_mg(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> float:
     return strokes.expected_mg(stroke, bed, sheet_radius_mm) if isinstance(bed, Bed) else bed.expected_mg(stroke)
 
 
+def found_mg(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> float:
+    """What a stroke should bring instead, if what the last one has missed in a bowl lies on its way; 0 if none was."""
+    if isinstance(bed, Bed) and bed.if_found is not None:
+        return strokes.most_mg(stroke, bed, sheet_radius_mm)
+    return 0.0
+
+
 def layer_left(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> Layer:
     """What a stroke is expected to leave."""
     return strokes.layer_left(stroke, bed, sheet_radius_mm) if isinstance(bed, Bed) else bed.left_by(stroke)

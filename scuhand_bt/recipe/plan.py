@@ -161,7 +161,8 @@ def _refills(
     """The refills before each job, by its name, of sources that are refilled.
 
     A mortar that does not hold what is still to come is refilled before the first sample after which it would hold less
-    than `RESERVE`, and a jar before the first one that is not sure to come of it; rather when a person comes anyway, be it for another mortar: at the last such visit before that.
+    than `RESERVE`, and a jar before the first one that is not sure to come of it; rather when a person comes anyway, be
+    it for another mortar: at the last such visit before that.
     """
     visits = {person.job for person in persons}
     samples = [job.sample for job in jobs if job.sample is not None]

@@ -135,15 +135,16 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
         why = why_not[min(why_not, key=lambda way: everywhere_deg.index(way[0]))]
         raise SkillFailed(Code.ARM_NO_PATH, f"at '{source.station}' no stroke is possible in any direction: {why}")
     if sure < len(doses_mg):
+        brings = f"{sure} of its doses ({format_mass(sum(doses_mg[:sure]))})"
         of = f"of {format_mass(source.amount_mg)} in this jar the strokes that the arm can make at '{source.station}'"
         needed = f"{len(doses_mg)} ({format_mass(sum(doses_mg))}) are needed"
         needed += " before it is refilled" if source.refill_mg is not None else ""
         gone = ", what is left of each load is thrown away" if source.is_discarded else ""
         raise MortarCannotBeScooped(
             source.name,
-            f"{of} are sure to bring {sure} of its doses ({format_mass(sum(doses_mg[:sure]))}), and {needed}{gone}; the "
-            "rest lies before the wall and beside the strokes: fill in more, take a mortar, or a place where the arm "
-            "can make strokes in more directions (`scuhand-bt reach --task scoop`)",
+            f"{of} are sure to bring {brings}, and {needed}{gone}; the rest lies before the wall and beside the "
+            "strokes: fill in more, take a mortar, or a place where the arm can make strokes in more directions "
+            "(`scuhand-bt reach --task scoop`)",
         )
 
 
