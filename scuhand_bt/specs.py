@@ -316,6 +316,11 @@ class Source(Assay):
     """What a person puts into the mortar before its powder runs short; None where nobody is to come for it."""
 
     @property
+    def is_discarded(self) -> bool:
+        """Whether what is left of it in the cone goes to waste, or into another vessel."""
+        return self.leftover == "discard"
+
+    @property
     def capacity_mg(self) -> float:
         """What its mortar holds of its powder."""
         return self.mortar.capacity_mm3 * self.powder.bulk_density_mg_per_mm3

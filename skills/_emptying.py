@@ -170,7 +170,7 @@ def slides_out(cell: Cell, source: Source) -> bool:
 
 def vessel_for(cell: Cell, source: Source) -> str | None:
     """The station of what leftovers of a source are discarded into; None where they are not."""
-    if source.leftover != "discard":
+    if not source.is_discarded:
         return None
     return source.leftover_to or cell.spec.station_of_kind("waste").name
 

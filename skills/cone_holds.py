@@ -1,9 +1,7 @@
 """Is there powder of the right kind in the cone?"""
 
+from scuhand_bt.dosing.strokes import LAST_SHARE
 from scuhand_bt.skill import Cell, Code, Condition, Milligrams, Powder, SkillFailed
-
-LAST_SHARE = 1 / 3
-"""Of a load, what a dose is not begun with: the end of it flows badly, and less may be there than is believed."""
 
 
 class ConeHolds(Condition):

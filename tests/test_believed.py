@@ -213,6 +213,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "has_rest": False,
         "load": {
             "scooped_mg": 3000.0,
+            "or_scooped_mg": 0.0,
             "came_mg": 0.0,
             "is_first": True,
             "flowed_mg": 0.0,
@@ -465,6 +466,23 @@ def test_what_a_load_that_brought_nothing_was_to_take_lies_where_strokes_do_not_
     believed.scooped(BEADS, 3000.0, Layer(2.5, 2000.0, 100.0))
     believed.gave_out(is_short=False)
     assert believed.layers["beads"] == Layer(2.5, 2000.0, 3100.0, 3000.0)
+
+
+def test_a_load_that_finds_what_was_missed_tells_that_and_no_larger_yield() -> None:
+    """Else the next loads were taken to be 2.8 g where 1.5 came, and more was believed to lie beside than there was."""
+    believed = Believed()
+    believed.source_holds("beads", 20_000.0)
+    believed.scooped(BEADS, 700.0, Layer(5.0, 14_000.0, 3500.0), 3200.0)
+    believed.dosing_ended(2000.0, 0.0)
+    assert believed.yields == {}
+    assert believed.cone_mg == pytest.approx(1200.0)
+    assert believed.sources_mg["beads"] == pytest.approx(16_800.0)
+    assert believed.layers["beads"].beside_mg == pytest.approx(1000.0)
+    as_expected = Believed()
+    as_expected.source_holds("beads", 20_000.0)
+    as_expected.scooped(BEADS, 700.0, Layer(5.0, 14_000.0, 3500.0), 3200.0)
+    as_expected.dosing_ended(700.0, 0.0)
+    assert as_expected.layers["beads"].beside_mg == 3500.0, "it lies there still"
 
 
 def given_out(believed: Believed, scooped_mg: float, came_mg: float) -> tuple[float, Layer]:

@@ -366,9 +366,27 @@ def test_after_a_load_that_brought_nothing_a_stroke_is_chosen_that_brings_some_w
     )
     missed = replace(layer, beside_mg=layer.beside_mg + most_mg, missed_mg=most_mg)
     bed, there = Bed(SMALL, in_mortar_mg, BEADS, missed), Bed(SMALL, in_mortar_mg - most_mg, BEADS, layer)
-    stroke = chosen(bed, SHEET_MM, most_mg / 2)
-    assert expected_mg(stroke, bed, SHEET_MM) <= most_mg / 2
-    assert expected_mg(stroke, there, SHEET_MM) > 0.2 * most_mg
+    stroke = chosen(bed, SHEET_MM, 0.8 * most_mg)
+    assert expected_mg(stroke, bed, SHEET_MM) <= 0.8 * most_mg
+    assert expected_mg(stroke, there, SHEET_MM) > 0.1 * most_mg
+
+
+@pytest.mark.parametrize("name", ["titanium_dioxide", "monosodium_glutamate", "glass_beads"])
+@pytest.mark.parametrize(("mortar", "fill_mg"), [(MORTAR, 20_000.0), (SMALL, 12_000.0)], ids=["larger", "small"])
+def test_after_a_load_that_was_poured_back_the_next_one_is_within_the_limit(
+    name: str, mortar: Mortar, fill_mg: float
+) -> None:
+    """By the height field, where that lies as a heap in the middle: of titanium dioxide 4.8 to 5.4 g came of 4."""
+    powder, field = POWDERS[name], HeightField(mortar, POWDERS[name])
+    bed = Bed(mortar, fill_mg, powder)
+    first = chosen(bed, SHEET_MM, 0.95 * powder.load_limit_mg)
+    should_mg, layer = expected_mg(first, bed, SHEET_MM), layer_left(first, bed, SHEET_MM)
+    assert through(first, field, fill_mg, mortar)[0] > 0.5 * should_mg
+    missed = replace(layer, beside_mg=layer.beside_mg + should_mg, missed_mg=should_mg)
+    then = chosen(Bed(mortar, fill_mg, powder, missed), SHEET_MM, 0.8 * powder.load_limit_mg)
+    lifted_mg, lost_mg = through(then, field, fill_mg, mortar)
+    assert 0.2 * should_mg < lifted_mg < 0.95 * powder.load_limit_mg
+    assert lost_mg < 1.0
 
 
 def test_less_than_what_lies_beside_and_comes_along_is_no_wish_that_cannot_be_met() -> None:

@@ -11,6 +11,8 @@ from test_poor_scoops import PoorScoops
 
 from scuhand_bt.lab import read_lab
 from scuhand_bt.problems import Problem
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.checking import check
 
 JAR = "  jar: {bore: BORE mm, depth: DEPTH mm, height: HEIGHT mm, outer_diameter: 120 mm, corner: 5 mm}\n"
@@ -77,6 +79,7 @@ def test_a_jar_that_gives_no_more_is_told_to_be_out_of_reach_and_not_of_no_flow(
     assert {sample.verdict for sample in good} == {"in tolerance"}
     assert last.code == "source.empty"
     assert "before the jar's wall and beside the strokes" in (last.detail or "")
+    assert "inventory set mortar_bay MASS --powder monosodium_glutamate --lot L-1" in (last.detail or "")
     assert failures(ran)["hand.no_flow"] == 0
 
 
@@ -88,7 +91,42 @@ def test_check_counts_on_no_more_of_a_jar_than_its_strokes_bring(
     problems = found(lab_folder, jar(), recipe([500.0] * doses))
     assert [problem.mark.file.endswith("jar.yaml") for problem in problems] == [True] * (not is_enough)
     for problem in problems:
-        assert re.search(r"of 12.0000 g in this jar .* are sure to bring [23]\.\d+ g, and 3\.6400 g", problem.message)
+        assert re.search(r"of 12.0000 g in this jar .* are sure to bring 5 of its doses \(2\.6", problem.message)
+        assert "and 7 (3.6400 g) are needed; the rest lies before the wall" in problem.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("doses", "is_enough"), [(2, True), (4, False)])
+def test_check_counts_what_is_thrown_away_of_a_jar(lab_folder: LabFolder, doses: int, is_enough: bool) -> None:
+    """The fourth dose of such a jar came to 245 mg of 300, and no stroke brought more."""
+    problems = found(lab_folder, jar(), recipe([300.0] * doses) + "leftover: discard\n")
+    assert len(problems) == (not is_enough)
+    for problem in problems:
+        assert "bring 2 of its doses (" in problem.message
+        assert "are needed, what is left of each load is thrown away" in problem.message
+
+
+def test_a_jar_is_refilled_before_the_first_dose_that_is_not_sure_to_come(lab_folder: LabFolder) -> None:
+    """Not when a fifth of it is left: by then no stroke brings anything."""
+    kinds = lab_folder.folder / "robot" / "containers.yaml"
+    lab_folder.write("robot/containers.yaml", kinds.read_text() + jar())
+    text = recipe([300.0] * 12).replace("amount: 12 g", "amount: 12 g, refill: 6 g")
+    lab_folder.write("recipes/jar.yaml", text)
+    lab_folder.write("recipes/gone.yaml", text + "leftover: discard\n")
+    lab = read_lab(lab_folder.folder)
+    first = {}
+    for name in ("jar", "gone"):
+        plan = make_plan(load_recipe(lab_folder.folder / "recipes" / f"{name}.yaml", lab), lab)
+        first[name] = next(job.name for job in plan.jobs if job.workflow == "refill")
+    assert first == {"jar": "refill msg for s8", "gone": "refill msg for s2"}
+
+
+@pytest.mark.slow
+def test_a_jar_that_is_refilled_loses_no_dose(tmp_path: Path) -> None:
+    text = recipe([300.0] * 12).replace("amount: 12 g", "amount: 12 g, refill: 6 g")
+    ran = dosed(tmp_path, text)
+    assert {sample.verdict for sample in ran.result.samples} == {"in tolerance"}
+    assert [event["payload"]["mass_mg"] for event in read(ran.journal, "event") if event["kind"] == "refilled"] == [6e3]
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from conftest import read
@@ -241,3 +241,32 @@ on_failure: {otherwise: stop}
     world, believed = ran.session.world, ran.session.cell.believed
     assert world is not None
     assert believed.sources_mg["msg"] == pytest.approx(world.masses_mg["source:msg"], abs=400.0)
+
+
+class Heaviest:
+    """A plant that notes how much scoops have brought."""
+
+    brought_mg: ClassVar[list[float]] = []
+
+    class Yield(OurScoopYield):
+        def collect(self, lifted_mg: float, there_mg: float, rng: Generator) -> float:
+            Heaviest.brought_mg.append(super().collect(lifted_mg, there_mg, rng))
+            return Heaviest.brought_mg[-1]
+
+    def scoop(self, powder: Powder) -> OurScoopYield:
+        return self.Yield(powder)
+
+
+@pytest.mark.slow
+def test_the_load_after_one_that_brought_nothing_keeps_the_limit_and_tells_no_larger_yield(tmp_path: Path) -> None:
+    """Of titanium dioxide 5.4 g came of 4."""
+    source = "  lot: {station: mortar_bay_2, container: agate_mortar, powder: titanium_dioxide, amount: 20 g}\n"
+    samples = "samples: [{id: a, source: lot, mass: 2 g}]\n"
+    text = f"recipe: r\nworkflow: fill_crucible\ndefaults: {{container: alumina_crucible, tolerance: 40 mg}}\n{samples}"
+    faults = "faults: [{fault: scoop.nothing}]"
+    plant = f"{__name__}:Heaviest"
+    ran = dry_run(tmp_path, f"{text}sources:\n{source}", seed=3, controller="adaptive", faults=faults, plant=plant)
+    assert ran.sample("a").verdict == "in tolerance"
+    assert len(told(ran, "scoop")) == 2
+    assert 2000.0 < Heaviest.brought_mg[-1] < 4000.0
+    assert ran.session.cell.believed.yields.get("lot", 1.0) < 1.5

@@ -64,9 +64,11 @@ def figures(case: Case, found: dict[str, Any]) -> dict[str, Any]:
 
 
 def in_lines(results: dict[str, Any]) -> str:
-    """A line for each case, and for each list of poses."""
-    cases = ",\n".join(f"{json.dumps(name)}: {json.dumps(row)}" for name, row in results["cases"].items())
-    ways = ",\n".join(json.dumps(way) for way in results["ways"])
+    """A line for each case, and for each list of poses that one of them has."""
+    used = sorted({way for row in results["cases"].values() for way in row["ways"]})
+    rows = {name: row | {"ways": [used.index(way) for way in row["ways"]]} for name, row in results["cases"].items()}
+    cases = ",\n".join(f"{json.dumps(name)}: {json.dumps(row)}" for name, row in rows.items())
+    ways = ",\n".join(json.dumps(results["ways"][way]) for way in used)
     return f'{{"yade": {json.dumps(results["yade"])},\n"cases": {{\n{cases}\n}},\n"ways": [\n{ways}\n]}}\n'
 
 

@@ -199,9 +199,9 @@ class Believed(BelievedPowder):
 
     # --- weighing and dosing
 
-    def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None) -> None:
+    def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None, or_mg: float = 0.0) -> None:
         """As of any powder, and counted for the dose."""
-        super().scooped(source, mass_mg, layer)
+        super().scooped(source, mass_mg, layer, or_mg)
         self._set(dosing=replace(self.dosing, scoops=self.dosing.scoops + 1))
 
     def gave_out(self, *, is_short: bool, lacked_mg: float = math.inf) -> None:

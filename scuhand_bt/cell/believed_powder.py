@@ -105,9 +105,10 @@ class BelievedPowder:
         self.emptied()
         self._set(sheet=source.sheet_key)
 
-    def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None) -> None:
+    def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None, or_mg: float = 0.0) -> None:
         """A scoop should have brought so much of a source into the cone; it has brought what this source yields of it.
 
+        Or `or_mg`, if what the stroke before had missed was on its way.
         It should have left this layer; None: nobody knows how it lies.
         ValueError while the cone holds another source's powder.
         """
@@ -122,6 +123,7 @@ class BelievedPowder:
             load=replace(
                 self.load,
                 scooped_mg=self.load.scooped_mg + mass_mg,
+                or_scooped_mg=self.load.scooped_mg + or_mg,
                 is_first=self.load.is_first or source.name not in self.layers,
             ),
             sources_mg={**self.sources_mg, source.name: left_mg},
@@ -229,7 +231,12 @@ class BelievedPowder:
         self._set(cone_mg=self.cone_mg - mass_mg, load=load)
         if self.cone_mg < 0.0:  # it was in the cone, and is not in its source
             self._moved_to_cone(name, -self.cone_mg)
-        more_mg = load.came_mg - self.yields.get(name, 1.0) * load.scooped_mg
+        share = self.yields.get(name, 1.0)
+        more_mg = load.came_mg - share * load.scooped_mg
+        if more_mg > SURPLUS * (load.came_mg - more_mg) and load.or_scooped_mg > load.scooped_mg > 0.0:
+            load = self._found_what_was_missed(name, load)
+            more_mg = load.came_mg - share * load.scooped_mg
+            self._moved_to_cone(name, max(0.0, -more_mg - self.cone_mg))
         if load.scooped_mg > 0.0 and more_mg > SURPLUS * (load.came_mg - more_mg):
             self._set(
                 load=replace(load, is_larger=True),
@@ -254,6 +261,14 @@ class BelievedPowder:
         if (layer := self.layers.get(name)) is not None:
             there = replace(layer, beside_mg=layer.beside_mg + mass_mg, missed_mg=mass_mg)
             self._set(layers={**self.layers, name: there})
+
+    def _found_what_was_missed(self, name: str, load: Load) -> Load:
+        """More has come than was expected: what the stroke before had missed lay on the way, and none of it beside."""
+        if (layer := self.layers.get(name)) is not None:
+            beside_mg = max(0.0, layer.beside_mg - (load.or_scooped_mg - load.scooped_mg))
+            self._set(layers={**self.layers, name: replace(layer, beside_mg=beside_mg)})
+        self._set(load=replace(load, scooped_mg=load.or_scooped_mg, or_scooped_mg=0.0))
+        return self.load
 
     def _moved_to_cone(self, name: str, mass_mg: float) -> None:
         """So much more of a source was in the cone than was believed."""

@@ -34,6 +34,8 @@ class Load:
 
     scooped_mg: float = 0.0
     """What its scoops should have brought, by their geometry; 0 for one that is known otherwise."""
+    or_scooped_mg: float = 0.0
+    """The same, if what the stroke before had missed was on the way of the last one."""
     came_mg: float = 0.0
     """What has arrived on the balance."""
     is_first: bool = False

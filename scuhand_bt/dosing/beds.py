@@ -35,8 +35,7 @@ def strokes_in(
     none.
     """
     if isinstance(bed, JarBed):
-        along = [bed.chosen(wanted_mg, heading_deg) for heading_deg in headings_deg]
-        yield from sorted(along, key=bed.expected_mg, reverse=True)
+        yield from bed.strokes(wanted_mg, headings_deg)
         return
     widest = strokes.chosen(bed, sheet_radius_mm, wanted_mg)
     yield from (replace(widest, heading_deg=heading_deg) for heading_deg in headings_deg)
@@ -51,6 +50,13 @@ def strokes_in(
 def expected_mg(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> float:
     """What a stroke is expected to bring into the cone."""
     return strokes.expected_mg(stroke, bed, sheet_radius_mm) if isinstance(bed, Bed) else bed.expected_mg(stroke)
+
+
+def found_mg(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> float:
+    """What a stroke should bring instead, if what the last one has missed in a bowl lies on its way; 0 if none was."""
+    if isinstance(bed, Bed) and bed.if_found is not None:
+        return strokes.most_mg(stroke, bed, sheet_radius_mm)
+    return 0.0
 
 
 def layer_left(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> Layer:

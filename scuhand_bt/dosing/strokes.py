@@ -90,6 +90,8 @@ SIDES_MM = 0.4
 """S: how much thicker at the bore's edge is what strokes with a gap leave. By the height field."""
 SPARE, SPARE_MG = 2.0, 2000.0
 """Times what is to be dosed that a scoop is to bring, and so much more."""
+LAST_SHARE = 1 / 3
+"""Of a load, what a dose is not begun with: the end of it flows badly, and less may be there than is believed."""
 LOAD_AIM = 0.95
 """Share of the powder's load limit that a scoop aims at, at most: what it collects varies."""
 RINGS = 100
@@ -129,7 +131,9 @@ def scooped_for_mg(dose_mg: float) -> float:
 class Bed:
     """What is believed to lie in a mortar: so much, of it no more than was left in a layer, and on that the rest."""
 
-    def __init__(self, mortar: Mortar, mass_mg: float, powder: Powder, layer: Layer | None = None) -> None:
+    def __init__(
+        self, mortar: Mortar, mass_mg: float, powder: Powder, layer: Layer | None = None, *, is_heaped: bool = False
+    ) -> None:
         radius_mm, half_mm = mortar.bowl_radius_mm, mortar.bore_mm / 2
         self.mortar, self.mass_mg, self.powder = mortar, mass_mg, powder
         self._out_mm = (np.arange(RINGS) + 0.5) * half_mm / RINGS
@@ -138,20 +142,29 @@ class Bed:
         stays = self._out_mm < radius_mm * math.sin(math.radians(powder.repose_deg))
         self._sides_mm = stays * SIDES_MM * (self._out_mm / half_mm) ** 2
 
-        def level_mm(level_mm: float) -> Floats:
-            thick_mm: Floats = np.maximum(level_mm - radius_mm * (1 - cosine), 0.0) * cosine
+        def level_mm(level_mm: float, falls: float = 0.0) -> Floats:
+            thick_mm: Floats = np.maximum(level_mm - falls * self._out_mm - radius_mm * (1 - cosine), 0.0) * cosine
             return thick_mm
 
+        falls = math.tan(math.radians(powder.repose_deg)) if is_heaped else 0.0
+
+        self.if_found: Bed | None
+        """The same, if the last stroke has missed nothing, and what it lacked was poured back as a heap."""
         self.was_scooped_from = layer is not None
         self.beside_mg = min(layer.beside_mg, mass_mg) if layer is not None else 0.0
         self.missed_mg = min(layer.missed_mg, mass_mg) if layer is not None else 0.0
+        self.if_found = None
+        if layer is not None and self.missed_mg > 0.0:
+            found = replace(layer, beside_mg=layer.beside_mg - layer.missed_mg, missed_mg=0.0)
+            self.if_found = Bed(mortar, mass_mg, powder, found, is_heaped=True)
         mass_mg -= self.beside_mg
         self._thick_mm: Floats = np.zeros(RINGS)
         if layer is not None and layer.gap_mm > LIP_GAP_MM:
             self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm + self._sides_mm), layer.mass_mg)
             self._thick_mm *= min(1.0, mass_mg / max(layer.mass_mg, THIN_MM))
         left_mm = self._thick_mm
-        self._fill(lambda at_mm: np.maximum(level_mm(at_mm), left_mm), mass_mg)
+        self._fill(lambda at_mm: np.maximum(level_mm(at_mm, falls), left_mm), mass_mg)
+        self._lies = self._thick_mm > (left_mm if is_heaped else 0.0) + THIN_MM
 
     def _fill(self, up_to: Callable[[float], Floats], mass_mg: float) -> None:
         """As thick as it is up to the level that makes this mass."""
@@ -167,8 +180,8 @@ class Bed:
 
     @property
     def radius_mm(self) -> float:
-        """How far from the middle there is powder."""
-        return float(self._out_mm[self._thick_mm > THIN_MM].max(initial=self._out_mm[0]))
+        """How far from the middle there is powder; of a heap, how far that goes."""
+        return float(self._out_mm[self._lies].max(initial=self._out_mm[0]))
 
     def above_mg(self, gap_mm: float, slip_mm: float = 0.0) -> float:
         """What is farther from the wall than that, without what slips past the lip."""
@@ -183,11 +196,16 @@ class Bed:
 def expected_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What a stroke is expected to bring into the cone."""
     reached = REACHED if stroke.gap_mm <= LIP_GAP_MM and bed.was_scooped_from else 1.0
-    return reached * most_mg(stroke, bed, sheet_radius_mm)
+    return reached * _brings_mg(stroke, bed, sheet_radius_mm)
 
 
 def most_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """What a stroke brings that finds all that it may."""
+    """What a stroke brings that finds all that it may, also what the last one has missed."""
+    found_mg = 0.0 if bed.if_found is None else _brings_mg(stroke, bed.if_found, sheet_radius_mm)
+    return max(found_mg, _brings_mg(stroke, bed, sheet_radius_mm))
+
+
+def _brings_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     return (1.0 - _falls_back(stroke, bed, sheet_radius_mm)) * _pushed_mg(stroke, bed, sheet_radius_mm)
 
 
@@ -267,7 +285,7 @@ def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: fl
         for steps in count(math.ceil(max(grains * bed.powder.grain_mm, from_mm) / grid_mm)):
             stroke = replace(deepest, gap_mm=steps * grid_mm)
             yield stroke
-            if bed.above_mg(_left_mm(stroke, bed.powder)) <= 0.0:
+            if all(one.above_mg(_left_mm(stroke, bed.powder)) <= 0.0 for one in (bed, bed.if_found or bed)):
                 return
 
     stroke = first(chain([whole], layered(GRAINS_CLEAR)))
@@ -327,7 +345,8 @@ def _left_mm(stroke: Stroke, powder: Powder) -> float:
 
 def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:
     """With the place where the lip leaves the wall; none where it goes to the edge."""
-    mortar, volume_mm3 = bed.mortar, _pushed_mg(stroke, bed, sheet_radius_mm) / bed.powder.bulk_density_mg_per_mm3
+    pushed_mg = max(_pushed_mg(stroke, one, sheet_radius_mm) for one in (bed, bed.if_found or bed))
+    mortar, volume_mm3 = bed.mortar, pushed_mg / bed.powder.bulk_density_mg_per_mm3
     edge = math.asin(mortar.bore_mm / 2 / mortar.bowl_radius_mm)
     steeps: Floats = np.linspace(0.0, edge, ENDS + 1)[1:]
     on_wall, beside = 1 / np.tan(steeps), 1 / math.tan(math.radians(bed.powder.repose_deg))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
 
+from scuhand_bt.dosing.jars import COUNTED_ON_DEG, JarBed, after_dose, has_way
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe.known import is_known, known
@@ -120,7 +121,7 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     forecaster = _Forecaster(lab)
     jobs = tuple(_jobs(lab, in_order(recipe.order, recipe.samples, forecaster.duration_s)))
     forecasts = [forecaster.of_job(job) for job in jobs]
-    if refills := _refills(recipe.sources.values(), jobs, _persons(jobs, forecasts, lab)):
+    if refills := _refills(recipe.sources.values(), jobs, _persons(jobs, forecasts, lab), lab):
         jobs = tuple(one for job in jobs for one in (*refills.get(job.name, ()), job))
         forecasts = [forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
@@ -154,11 +155,14 @@ def check_unattended(plan: Plan) -> None:
     problems.raise_any()
 
 
-def _refills(sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[PersonNeeded]) -> dict[str, list[Job]]:
+def _refills(
+    sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[PersonNeeded], lab: Lab
+) -> dict[str, list[Job]]:
     """The refills before each job, by its name, of sources that are refilled.
 
     A mortar that does not hold what is still to come is refilled before the first sample after which it would hold less
-    than `RESERVE`; rather when a person comes anyway, be it for another mortar: at the last such visit before that.
+    than `RESERVE`, and a jar before the first one that is not sure to come of it; rather when a person comes anyway, be
+    it for another mortar: at the last such visit before that.
     """
     visits = {person.job for person in persons}
     samples = [job.sample for job in jobs if job.sample is not None]
@@ -168,6 +172,7 @@ def _refills(sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[P
             continue
         left_mg, since = source.amount_mg, list[tuple[Job, float]]()  # what there was before each job since a refill
         to_come_mg = sum(needed_mg(sample, source) + discarded_mg(sample, source) for sample in samples)
+        jar = _jar(source, lab)
         for job in jobs:
             since.append((job, left_mg))
             needs_mg = needed_mg(job.sample, source) if job.sample is not None else 0.0
@@ -176,7 +181,8 @@ def _refills(sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[P
             # What is discarded after the last one nothing lacks.
             lacks = left_mg < needs_mg + (goes_mg + to_come_mg if to_come_mg > ROUNDED_MG else 0.0)
             is_short = lacks and left_mg - needs_mg < RESERVE * source.amount_mg
-            if needs_mg > 0.0 and is_short:
+            left = _after_dose(jar, needs_mg, source)
+            if needs_mg > 0.0 and (is_short if jar is None else left is None):
                 with_person = [(one, mg) for one, mg in since if one.name in visits and source.refill_into_mg(mg) > 0.0]
                 at, held_mg = with_person[-1] if with_person else (job, left_mg)
                 first = next(job.sample.id for job in jobs[jobs.index(at) :] if job.sample is not None)
@@ -185,9 +191,26 @@ def _refills(sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[P
                 visits.add(at.name)
                 left_mg += source.refill_into_mg(held_mg)
                 since = []
+                jar = jar.with_more(source.refill_into_mg(held_mg)) if jar is not None else None
+                left = _after_dose(jar, needs_mg, source)
+            jar = left or jar
             left_mg -= needs_mg
             left_mg -= min(goes_mg, max(0.0, left_mg))  # a scoop takes no more than there is
     return found
+
+
+def _jar(source: Source, lab: Lab) -> JarBed | None:
+    """What is in a source that is a beaker or a jar; None for a bowl, and for one that no stroke can be made in."""
+    slant_mm = lab.cell.hand.sheet_radius_mm
+    if source.mortar.corner_mm is None or not has_way(source.mortar, slant_mm):
+        return None
+    return JarBed(source.mortar, source.amount_mg, source.powder, slant_mm)
+
+
+def _after_dose(jar: JarBed | None, dose_mg: float, source: Source) -> JarBed | None:
+    if jar is None or dose_mg == 0.0:
+        return jar
+    return after_dose(jar, dose_mg, COUNTED_ON_DEG, is_discarded=source.is_discarded)
 
 
 def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) -> Iterator[PersonNeeded]:

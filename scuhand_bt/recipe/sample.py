@@ -171,10 +171,15 @@ class Demand:
     """What a source has, and what samples take from it: their masses, and what each scoop loses."""
 
     source: Source
-    needed_mg: float
+    doses_mg: tuple[float, ...]
+    """Of each sample that takes of it, in their order, losses included."""
     samples: int
     discarded_mg: float
     """What their scoops are to bring more, and is discarded before the last one: after that nothing lacks it."""
+
+    @property
+    def needed_mg(self) -> float:
+        return sum(self.doses_mg)
 
     def doubt_of(self, mass_mg: float) -> str:
         """Why so much may be too little, though samples need no more; "" where it is enough."""
@@ -189,7 +194,8 @@ def demand_of(samples: Sequence[Sample], source: Source) -> Demand:
     """What these samples need of a source."""
     users = sum(any(one.name == source.name for one in sample.sources) for sample in samples)
     discarded = [mg for mg in (discarded_mg(sample, source) for sample in samples) if mg > 0.0]
-    return Demand(source, sum(needed_mg(sample, source) for sample in samples), users, sum(discarded[:-1]))
+    doses = tuple(mg for mg in (needed_mg(sample, source) for sample in samples) if mg > 0.0)
+    return Demand(source, doses, users, sum(discarded[:-1]))
 
 
 def needed_mg(sample: Sample, source: Source) -> float:
@@ -203,7 +209,7 @@ def discarded_mg(sample: Sample, source: Source) -> float:
     Of a mortar that holds little a scoop brings less. It is for planning: what a run discards, only it knows.
     """
     takes_mg = sum(take.mass_mg or 0.0 for take in sample.takes if take.source.name == source.name)
-    if source.leftover != "discard" or takes_mg == 0.0:
+    if not source.is_discarded or takes_mg == 0.0:
         return 0.0
     most_mg = LOAD_AIM * source.powder.load_limit_mg
     last_mg = takes_mg - most_mg * (math.ceil(takes_mg / most_mg) - 1)

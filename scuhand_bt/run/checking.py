@@ -309,7 +309,7 @@ def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
 def _key(plan: Plan, lab: Lab) -> str:
     """What the ways depend on, as a hash."""
     kinds = sorted({repr(kind.kind) for sample in plan.recipe.samples for kind in sample.all_containers})
-    demands = sorted(f"{demand.source!r} {demand.needed_mg}" for demand in plan.demands)
+    demands = sorted(f"{demand.source!r} {demand.doses_mg}" for demand in plan.demands)
     depends = (scuhand_bt.__version__, lab.urdf, lab.cell, demands, kinds, sorted(plan.descents))
     return hashlib.sha256(repr(depends).encode()).hexdigest()
 

@@ -8,11 +8,10 @@ from scuhand_bt.cell.cell import carrying_limit_deg
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
-from scuhand_bt.dosing.beds import bed_in, expected_mg, layer_left, strokes_in
+from scuhand_bt.dosing.beds import bed_in, expected_mg, strokes_in
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.dosing.jars import LEAST_MG
-from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
-from scuhand_bt.dosing.strokes import LOAD_AIM
+from scuhand_bt.dosing.jars import COUNTED_ON_DEG, JarBed, sure_doses
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
@@ -37,11 +36,6 @@ POOR_SHARE, POOR_DOSES = 0.15, 2.0
 """And so little that doses take several scoops each: less than this share, and so many of the largest dose. By the
 height field, of 8 doses of 500 mg of 6 g in a bowl of 60 and 20 mm, where it is 0.12 of MSG and 0.10 of titanium
 dioxide, the last four take 8 and 12 scoops, or 22 in a dry run; in one of 62 and 21 mm (0.22, 0.19) 4 and 2."""
-
-
-SURE_SHARE = 0.75
-"""Of what the strokes in a jar should bring in all, what a plan may count on: of 12 g of MSG in one of 95 mm 0.91 of it
-came in a dry run before what was left was out of reach; ours."""
 
 
 class MortarCannotBeScooped(SkillFailed):
@@ -114,44 +108,43 @@ def strokes_along(cell: CellSpec, source: Source, bed_mg: float, along_deg: Sequ
 
 
 def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> None:
-    """The strokes that are made in a jar, as the skill chooses them, until they should have brought enough.
+    """The strokes that are made in a jar for a plan's doses, as the skill chooses them; for those until it is refilled.
 
-    That is what is needed and a third more, as what is left of a jar is not sure to come.
-
-    SkillFailed arm.* where the arm can make none; MortarCannotBeScooped where all that it can make bring less.
+    SkillFailed arm.* where the arm can make none; MortarCannotBeScooped where those that it can make are not sure to
+    bring the doses, or fewer than the plan counts on before the first refill.
     """
-    source, slant_mm = demand.source, cell.hand.sheet_radius_mm
-    bed_mg, layer, enough_mg = source.amount_mg, None, demand.needed_mg / SURE_SHARE
+    source, slant_mm, why_not = demand.source, cell.hand.sheet_radius_mm, dict[tuple[float, bool], str]()
+
+    def arm_can(stroke: Stroke) -> bool:
+        way = stroke.heading_deg, stroke.gap_mm <= LIP_GAP_MM  # a lip on the floor has the hand nearest to the wall
+        if way not in why_not:
+            why_not[way] = ""
+            try:
+                swing_and_out(motion, cell, source, stroke)
+            except (NoStrokeError, SkillFailed) as error:
+                why_not[way] = str(error)
+        return not why_not[way]
+
     everywhere_deg = list(headings_deg(cell, source.station))
-    why_not = dict[float, str]()
-    while (brought_mg := source.amount_mg - bed_mg) < enough_mg:
-        bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm, layer)
-        wanted_mg = LOAD_AIM * source.powder.load_limit_mg
-        for stroke in strokes_in(bed, slant_mm, wanted_mg, everywhere_deg):
-            if expected_mg(stroke, bed, slant_mm) < min(LEAST_MG, enough_mg - brought_mg):
-                continue
-            if stroke.heading_deg not in why_not:
-                why_not[stroke.heading_deg] = ""
-                try:
-                    swing_and_out(motion, cell, source, stroke)
-                except (NoStrokeError, SkillFailed) as error:
-                    why_not[stroke.heading_deg] = str(error)
-            if not why_not[stroke.heading_deg]:
-                bed_mg -= expected_mg(stroke, bed, slant_mm)
-                layer = layer_left(stroke, bed, slant_mm)
-                break
-        else:
-            break
+    jar = JarBed(source.mortar, source.amount_mg, source.powder, slant_mm)
+    doses_mg = demand.doses_mg
+    if source.refill_mg is not None:
+        doses_mg = doses_mg[: max(1, sure_doses(jar, doses_mg, COUNTED_ON_DEG, is_discarded=source.is_discarded))]
+    sure = sure_doses(jar, doses_mg, everywhere_deg, is_discarded=source.is_discarded, may_be=arm_can)
     if why_not and all(why_not.values()):
-        why = next(filter(None, map(why_not.get, everywhere_deg)), "")
+        why = why_not[min(why_not, key=lambda way: everywhere_deg.index(way[0]))]
         raise SkillFailed(Code.ARM_NO_PATH, f"at '{source.station}' no stroke is possible in any direction: {why}")
-    if brought_mg < enough_mg:
+    if sure < len(doses_mg):
+        brings = f"{sure} of its doses ({format_mass(sum(doses_mg[:sure]))})"
         of = f"of {format_mass(source.amount_mg)} in this jar the strokes that the arm can make at '{source.station}'"
+        needed = f"{len(doses_mg)} ({format_mass(sum(doses_mg))}) are needed"
+        needed += " before it is refilled" if source.refill_mg is not None else ""
+        gone = ", what is left of each load is thrown away" if source.is_discarded else ""
         raise MortarCannotBeScooped(
             source.name,
-            f"{of} are sure to bring {format_mass(SURE_SHARE * brought_mg)}, and {format_mass(demand.needed_mg)} are "
-            "needed; the rest lies before the wall and beside the strokes: fill in more, take a mortar, or a place "
-            "where the arm can make strokes in more directions (`scuhand-bt reach --task scoop`)",
+            f"{of} are sure to bring {brings}, and {needed}{gone}; the rest lies before the wall and beside the "
+            "strokes: fill in more, take a mortar, or a place where the arm can make strokes in more directions "
+            "(`scuhand-bt reach --task scoop`)",
         )
 
 

@@ -126,7 +126,7 @@ def _limit_deg(cell: CellSpec, source: Source) -> float:
 
 
 def _discarding(cell: CellSpec, source: Source) -> list[str]:
-    if source.leftover != "discard":
+    if not source.is_discarded:
         return []
     return [source.leftover_to or cell.station_of_kind("waste").name]
 
