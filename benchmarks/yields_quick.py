@@ -10,9 +10,7 @@ time, the spread of doses, and what clings. Every case is run with two fills and
 
 import argparse
 import itertools
-import sys
 from collections.abc import Mapping
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,7 +19,6 @@ import numpy as np
 from benchmarks.yields import DOSES, LEARNT_AFTER
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.dosing.ladle import Ladle
-from scuhand_bt.dosing.strokes import Bed, expected_mg, layer_left
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.lab import Lab, load_lab, starter_lab
@@ -53,11 +50,16 @@ class Lot:
         self._hand = lab.cell.hand
         self._tries = int(lab.library.workflows["fill"].tree.arguments["attempts"].text)
         self._field, self._yield = HeightField(source.mortar, source.powder), OurScoopYield(source.powder)
-        self._mortar_mg, self._cone_mg, self._strokes, self._doses = source.amount_mg, 0.0, 0, 0
+        self._mortar_mg, self._cone_mg, self._doses = source.amount_mg, 0.0, 0
         self._believed = Believed()
         self._believed.source_holds(source.name, source.amount_mg)
-        spec = SimpleNamespace(hand=self._hand)
-        self._cell: Any = SimpleNamespace(believed=self._believed, sources={source.name: source}, spec=spec)
+        self._cell: Any = SimpleNamespace(
+            believed=self._believed,
+            sources={source.name: source},
+            spec=lab.cell,
+            strokes_made={},
+            record=SimpleNamespace(event=lambda told: None),
+        )
 
     def dose(self, mass_mg: float) -> None:
         """Scoops whenever the cone holds too little, as the workflow `fill` does."""
@@ -86,18 +88,14 @@ class Lot:
         believed.emptied()
         self._mortar_mg, self._cone_mg = self._mortar_mg + self._cone_mg, 0.0
         scoop = self._skills["scoop"](source=source, wanted_mg=wanted_mg)
-        in_mortar_mg = believed.sources_mg[source.name]
-        bed = Bed(source.mortar, in_mortar_mg, source.powder, believed.layers.get(source.name))
-        stroke = scoop._chosen(self._cell, bed, in_mortar_mg)
-        headings_deg = scoop_headings(scoop)
-        stroke = replace(stroke, heading_deg=headings_deg[self._strokes % len(headings_deg)])
-        self._strokes += 1
+        bed = scoop._bed(self._cell)
+        stroke = next(scoop._wished(self._cell, bed, believed.sources_mg[source.name]))
+        self._cell.strokes_made[source.name] = self._cell.strokes_made.get(source.name, 0) + 1
         lifted_mg, lost_mg = self._lifted(stroke_path(Vessel.of(source.mortar), stroke, Ladle.of(self._hand)))
         there_mg = self._mortar_mg - lost_mg
         self._cone_mg = min(there_mg, self._share * self._yield.collect(lifted_mg, there_mg, self._rng))
         self._mortar_mg = there_mg - self._cone_mg
-        sheet_mm = self._hand.sheet_radius_mm
-        believed.scooped(source, expected_mg(stroke, bed, sheet_mm), layer_left(stroke, bed, sheet_mm))
+        scoop._believe(self._cell, stroke, 0.0, bed)
         self.scoops.append((self._doses, believed.cone_mg, self._cone_mg))
 
     def _lifted(self, path: Any) -> tuple[float, float]:
@@ -109,12 +107,6 @@ class Lot:
             lost_mg += over_mg
         self._field.leave()
         return in_cone_mg, lost_mg
-
-
-def scoop_headings(scoop: Any) -> tuple[float, ...]:
-    """The directions of strokes, in the skill's order."""
-    headings_deg: tuple[float, ...] = vars(sys.modules[type(scoop).__module__])["HEADINGS_DEG"]
-    return headings_deg
 
 
 def main() -> None:
@@ -137,7 +129,7 @@ def main() -> None:
                 "mortar": lab.library.mortars[mortar],
                 "powder": lab.library.powders[powder],
             }
-            source = Source.model_construct(name="lot", station="bay", amount_mg=fill_mg, **kinds)
+            source = Source.model_construct(name="lot", station="mortar_bay", amount_mg=fill_mg, **kinds)
             lot = Lot(lab, source, share, seed)
             for _ in range(DOSES):
                 lot.dose(dose_mg)

@@ -127,17 +127,13 @@ def test_a_rehearsed_dose_has_the_verdict_of_the_dry_run_and_says_what_it_is(tmp
 def test_a_rehearsed_scoop_spills_less_than_a_hundredth(tmp_path: Path, lab: Lab) -> None:
     recipe = HEAD + "  - {id: a, workflow: scoop_once, source: beads}\n"
     session = session_of(tmp_path, lab, Rehearsal(seed=1), recipe)
-    world, most_mg = session.world, [0.0]
-    assert world is not None
-
-    def look(root: Any) -> None:
-        most_mg.append(world.masses_mg["cone"])
-
+    assert session.truth is not None
     try:
-        result = session.run(Watching(session, at_tick=look))
+        result = session.run(Watching(session))
         assert (result.exit_code, result.reason) == (0, "")
-        assert max(most_mg) > 3000.0
-        assert world.masses_mg["spilled"] < 0.01 * max(most_mg)
+        masses_mg = session.truth.masses_mg
+        assert masses_mg["cone"] > 3000.0
+        assert masses_mg["spilled"] < 0.01 * masses_mg["cone"]
     finally:
         session.close()
 
