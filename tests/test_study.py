@@ -2,6 +2,7 @@
 
 import csv
 import json
+import logging
 import os
 import pickle
 import re
@@ -19,6 +20,7 @@ import numpy as np
 import pytest
 from dose_bench import shipped_powders
 
+import scuhand_bt
 from scuhand_bt.cli.study import tell_odds
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab
@@ -264,15 +266,40 @@ def test_a_process_that_is_killed_ends_the_study_in_words() -> None:
         executor.submit(os.kill, executor.submit(os.getpid).result(), signal.SIGKILL).result()
 
 
-def test_a_cluster_that_goes_away_ends_the_study_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """In the place of Dask, which is an extra."""
     client = MagicMock()
     client.__exit__.return_value = client.get_executor().__exit__.return_value = False
     killed = type("KilledWorker", (Exception,), {})
-    fake_dask = SimpleNamespace(Client=lambda *asked, **how: client, KilledWorker=killed)
+    fake_dask = SimpleNamespace(Client=lambda *asked, **how: client, KilledWorker=killed, client=client)
     monkeypatch.setitem(sys.modules, "distributed", fake_dask)
-    for error in (CancelledError, killed):
+    return fake_dask
+
+
+def test_a_cluster_that_goes_away_ends_the_study_in_words(
+    cluster: SimpleNamespace, caplog: pytest.LogCaptureFixture
+) -> None:
+    for error in (CancelledError, cluster.KilledWorker):
         with pytest.raises(SourceError, match="--dask tcp://x: the cluster was lost"), executor_of(None, "tcp://x"):
             raise error
+    logging.getLogger("distributed.client").error("by a traceback")
+    assert not caplog.records
+
+
+def test_a_cluster_without_a_worker_is_not_waited_for(cluster: SimpleNamespace) -> None:
+    cluster.client.wait_for_workers.side_effect = TimeoutError
+    with pytest.raises(SourceError, match="--dask tcp://x: the scheduler has no worker"), executor_of(None, "tcp://x"):
+        pass
+
+
+@pytest.mark.parametrize("there", ["0.0.1", ModuleNotFoundError("No module named 'scuhand_bt'")])
+def test_a_worker_of_another_version_or_without_the_program_is_named(cluster: SimpleNamespace, there: object) -> None:
+    cluster.client.run.return_value = {"tcp://a": scuhand_bt.__version__, "tcp://b": there}
+    with pytest.raises(SourceError) as wrong, executor_of(None, "tcp://x"):
+        pass
+    said = f"the worker tcp://b has not scuhand-bt {scuhand_bt.__version__} but {there!r}: install it there"
+    assert [one.message for one in wrong.value.problems] == [said]
 
 
 def test_the_processes_of_a_study_that_is_killed_end_too(tmp_path: Path) -> None:
