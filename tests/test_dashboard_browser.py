@@ -224,5 +224,6 @@ def test_a_run_is_stopped_from_the_page(waiting: GoesOn, browser: Any) -> None:
         has_seen(page, "place_container, running")
         page.get_by_role("button", name="Stop now").click()
         page.locator("#state", has_text="stopped").wait_for(timeout=30_000)
+        assert page.locator("#progress").inner_text() == "Samples: 1 of 2", "the other was not run"
         thread.join(10)
         assert not thread.is_alive()

@@ -35,7 +35,7 @@ function show(told) {
     else row.removeAttribute("aria-current");
   }
   forecast(told);
-  const judged = [...samples.values()].filter((one) => one.tone);
+  const judged = [...samples.values()].filter((one) => one.tone && one.verdict !== "not run");
   const left = isLive && told.left_s ? `; about ${duration(told.left_s)} of run time left` : "";
   by("progress").textContent = `Samples: ${judged.length} of ${samples.size}${left}`;
   for (const button of document.querySelectorAll("#control button")) button.disabled = !isLive || HAS_ENDED.includes(told.state);
