@@ -281,6 +281,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "Two zones of the cell have one name, or overlap: each is leased by itself; two may move there at once.",
             "Set them apart, or make them one.",
         ),
+        "parked-in-zone": Finding(
+            "The arm stands in a zone of the cell where it parks: what else moves there waits for it for ever.",
+            "The park station farther away, or a smaller zone.",
+        ),
         "port-taken": Finding("Two devices are on one port.", "Give each its own."),
         "strained": _warning(
             "At a place the arm holds up more than half of a servo's stall torque, by the URDF's masses.",

@@ -68,6 +68,15 @@ def test_reach_tells_of_the_strokes_that_the_skill_makes_in_its_directions() -> 
     assert [bool(one.why_not) for one in looked_at] == [True, True, True, True, False]
 
 
+def test_a_park_in_a_zone_is_told_where_it_is_as_no_container_would_ever_come(lab: LabFolder) -> None:
+    cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+    lab.write("robot/cell.yaml", re.sub(r"(name: pan, .*)}", r"\1, yaw: 30 deg}", cell))
+    for _ in range(2):  # a check that passed is remembered
+        (problem,) = found(lab, "parked-in-zone")
+        assert "zone 'pan'" in problem.message
+        assert problem.mark.line == line_with(lab, "park: ")
+
+
 @pytest.mark.slow
 def test_a_mortar_over_which_the_arm_can_stand_but_in_which_it_can_make_no_stroke_is_found(lab: LabFolder) -> None:
     stands(lab, LID)

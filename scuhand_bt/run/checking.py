@@ -248,7 +248,8 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
     from scuhand_bt.run.ways import MortarStandsBadly
 
     try:
-        strained = _strained(prepared_motion(plan, lab, for_real=True))
+        motion = prepared_motion(plan, lab, for_real=True)
+        strained, in_the_way = _strained(motion), list(_parked_in_zones(motion, lab))
     except SourceError as error:
         problems.found += error.problems
     except MortarStandsBadly as failure:
@@ -260,8 +261,19 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
         blocked = list(_blocked(plan, lab)) or [Problem(cell_mark(lab), failure.detail, "no-path")]
         problems.found += blocked
     else:
-        _note_planned(lab, key, strained)
+        problems.found += in_the_way
+        if not in_the_way:
+            _note_planned(lab, key, strained)
         _warn_of_strain(strained, lab, problems)
+
+
+def _parked_in_zones(motion: "MotionPlanner", lab: Lab) -> Iterator[Problem]:
+    """Each zone that the arm is in where it parks: nobody else would ever have it."""
+    for zone in sorted(motion.entered(motion.home())):
+        what = f"the arm that is parked there stands in the zone '{zone}', which what else moves there then waits for"
+        remedy = "farther away from it, or the zone no larger than what moves there"
+        mark = cell_mark(lab, "stations", lab.cell.station_of_kind("park").name, "position")
+        yield Problem(mark, f"{what}: {remedy}", "parked-in-zone")
 
 
 def _strained(motion: "MotionPlanner") -> str:
