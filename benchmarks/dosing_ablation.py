@@ -42,7 +42,17 @@ from scuhand_bt.device_specs.hand import HandSpec
 
 MODULES = tuple(
     importlib.import_module(f"scuhand_bt.dosing.{name}")
-    for name in ("adaptive", "opening", "knowledge", "noise", "constraint", "estimation", "identification", "pulses")
+    for name in (
+        "adaptive",
+        "opening",
+        "unseen",
+        "knowledge",
+        "noise",
+        "constraint",
+        "estimation",
+        "identification",
+        "pulses",
+    )
 )
 FIRST_RUN = 1000
 """Seeds of other runs than `benchmarks.dosing` judges by."""

@@ -251,6 +251,10 @@ def test_what_a_fallback_has_tried_has_failed_and_what_it_did_not_come_to_is_ski
         now.look()
         from_elsewhere = [(node.name, f"{node.state} {node.why[:15]}".strip()) for node in tree_of(now)]
         assert from_elsewhere == here[at_work], "another terminal, and a page, tell the same"
+        now.actions = {
+            seq: one for seq, one in now.actions.items() if one.outcome is not None
+        }  # as if paused before it
+        assert tree_of(now)[0].state == "running", "what is still to come of a job is not done"
 
 
 def test_no_color_means_none(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:

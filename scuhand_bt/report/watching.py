@@ -10,6 +10,7 @@ from scuhand_bt.journal.pace import time_left_s
 from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.picture import Asked, Node, Shown, in_grams
+from scuhand_bt.tree.grammar import COMPOSITES
 
 _STATES = {None: "running", "done": "done", "failed": "failed"}
 _TURNED = {("invert", "done"): "failed", ("invert", "failed"): "done", ("optional", "failed"): "done"}
@@ -69,7 +70,7 @@ def about(now: Follower, run: RunBegun) -> str:
     return f"{now.job.name}{again}: {doses}{into}"
 
 
-def tree_of(now: Follower) -> list[Node]:
+def tree_of(now: Follower) -> Sequence[Node]:
     """The tree of the job that is under way, each node with its state; of an older journal what has acted, in order."""
     drawn = now.trees.get(now.job.workflow) if now.job is not None else None
     if drawn is None:
@@ -77,26 +78,26 @@ def tree_of(now: Follower) -> list[Node]:
             Node(0, one.skill, _STATES.get(one.outcome, "to come"), str(one.failure) if one.failure else "")
             for one in now.actions.values()
         ]
-    return list(_nodes(now, drawn))
+    return _nodes(now, drawn)
 
 
-def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
+def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
     """A leaf's state is its last action's; that of a node above, of the last that acted below it.
 
     What stands behind the leaf at work, not beside it, and acted before it, is to come again. What stands before the
-    last that acted, and did not act itself, was passed by.
+    last that acted, and did not act itself, was passed by. While a job goes on, what is above others is what they make
+    of it: a sequence is not done before the last of it, also while nothing acts.
     """
     last = {one.path: (seq, one) for seq, one in now.actions.items()}
     at_work = [place for place, node in enumerate(drawn) if node.path in last and last[node.path][1].outcome is None]
     reached = (
         max((last[node.path][0], place) for place, node in enumerate(drawn) if node.path in last)[1] if last else 0
     )
-    for place, node in enumerate(drawn):
-        below = [node]
-        for other in drawn[place + 1 :]:
-            if other.depth <= node.depth:
-                break
-            below.append(other)
+    nodes: dict[int, Node] = {}
+
+    def state_of(place: int, below: Sequence[TreeNode]) -> tuple[str, str]:
+        """With why it failed."""
+        node = drawn[place]
         if at_work and place > at_work[-1] and not _is_beside(drawn, at_work[-1], place):
             began = last[drawn[at_work[-1]].path][0]
             acted = [last[one.path] for one in below if one.path in last and last[one.path][0] > began]
@@ -104,17 +105,36 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
             acted = [last[one.path] for one in below if one.path in last]
         failed = now.decided.get(node.path) if node.path else None
         if any(one.outcome is None for _, one in acted):
-            yield Node(node.depth, node.name, "running")
-        elif failed is not None:
-            yield Node(node.depth, node.name, "failed", str(failed))
-        elif not acted:
+            return "running", ""
+        if failed is not None:
+            return "failed", str(failed)
+        if not acted:
             is_passed = now.job_ended is not None or (place < reached and not _is_beside(drawn, place, reached))
-            yield Node(node.depth, node.name, "skipped" if is_passed else "to come")
-        else:
-            _, one = max(acted, key=lambda pair: pair[0])
-            state = _STATES.get(one.outcome, "to come")
-            why = str(one.failure) if one.failure is not None and len(below) == 1 else ""
-            yield Node(node.depth, node.name, _TURNED.get((node.name, state), state), why)
+            return ("skipped" if is_passed else "to come"), ""
+        if len(below) > 1 and now.job_ended is None:
+            children = [nodes[place + k].state for k, one in enumerate(below) if one.depth == node.depth + 1]
+            return _above(node.name, children), ""
+        _, one = max(acted, key=lambda pair: pair[0])
+        state = _STATES.get(one.outcome, "to come")
+        why = str(one.failure) if one.failure is not None and len(below) == 1 else ""
+        return _TURNED.get((node.name, state), state), why
+
+    for place in reversed(range(len(drawn))):
+        deep = drawn[place].depth
+        end = next((k for k in range(place + 1, len(drawn)) if drawn[k].depth <= deep), len(drawn))
+        nodes[place] = Node(deep, drawn[place].name, *state_of(place, drawn[place:end]))
+    return [nodes[place] for place in range(len(drawn))]
+
+
+def _above(name: str, children: Sequence[str]) -> str:
+    """The state of a node of a job that goes on, by those of its children, some of which have acted."""
+    if name not in COMPOSITES:
+        state = next((child for child in reversed(children) if child not in ("to come", "skipped")), "to come")
+        return _TURNED.get((name, state), state)
+    ends, other = ("done", "failed") if name == "fallback" else ("failed", "done")
+    if ends in children:
+        return ends
+    return "running" if {"running", "to come"} & set(children) else other
 
 
 def _is_beside(drawn: Sequence[TreeNode], place: int, later: int) -> bool:
