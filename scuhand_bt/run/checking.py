@@ -270,8 +270,8 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
 def _parked_in_zones(motion: "MotionPlanner", lab: Lab) -> Iterator[Problem]:
     """Each zone that the arm is in where it parks: nobody else would ever have it."""
     for zone in sorted(motion.entered(motion.home())):
-        what = f"the arm that is parked there stands in the zone '{zone}', which what else moves there then waits for"
-        remedy = "farther away from it, or the zone no larger than what moves there"
+        what = f"parked there, the arm stands in the zone '{zone}', and what else moves in that zone waits for ever"
+        remedy = "move the station away from it, or make the zone no larger than what moves there"
         mark = cell_mark(lab, "stations", lab.cell.station_of_kind("park").name, "position")
         yield Problem(mark, f"{what}: {remedy}", "parked-in-zone")
 
