@@ -64,11 +64,8 @@ class Clock(Protocol):
         """Seconds since the run began."""
         ...
 
-    def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
-        """Go on until the earliest of `wakes`; returns at once if one is due or has fired.
-
-        `again`: nothing was told to any device since the wait before.
-        """
+    def wait(self, wakes: Sequence[Wake]) -> None:
+        """Go on until the earliest of `wakes`; returns at once if one is due or has fired."""
         ...
 
     def hold(self, wakes: Sequence[Wake]) -> None:

@@ -227,6 +227,18 @@ def test_the_open_valve_closes_by_its_dead_man_and_powder_falls_until_then(tmp_p
     is_sound(restored.world)
 
 
+def test_what_a_journal_was_not_told_is_kept_to_the_second(tmp_path: Path) -> None:
+    path = tmp_path / "run.world"
+    bench = Bench.with_powder(path)
+    bench.cell.hand.set_opening(1.0)
+    for _ in range(47):
+        bench.let_pass(0.1)
+
+    lives_from_s = Bench.taken_up(path).clock.now_s - OUTAGE_S
+
+    assert bench.clock.now_s - 1.1 <= lives_from_s <= bench.clock.now_s
+
+
 def test_a_world_taken_up_is_the_one_that_would_have_been(tmp_path: Path) -> None:
     path = tmp_path / "run.world"
     bench = Bench.with_powder(path)

@@ -21,11 +21,16 @@ class Process(Protocol):
         ...
 
 
+SAVED_EVERY_S = 1.0
+"""So much of a killed dry run has not happened in its world; its journal knows of none of it, for that saves first."""
+
+
 class VirtualClock:
     """Time of a dry run. It passes as fast as the simulated world can be computed.
 
     With `speed`, it also sleeps, so that virtual time goes at most `speed` times as fast as wall time; where
-    `is_waited_in`, as fast as that at the most. `beat` is called all through each wait.
+    `is_waited_in`, as fast as that at the most. `beat` is called all through each wait. The process is saved every
+    `SAVED_EVERY_S`.
     """
 
     def __init__(
@@ -42,20 +47,19 @@ class VirtualClock:
         """Whether a person is being waited for, whose time is wall time."""
         self._speed = speed
         self._beat = beat
+        self._save_at_s = 0.0
         self._pace = speed
         """At which time passes now."""
         self._paced_from_s, self._paced_from_wall_s = 0.0, time.monotonic()
 
     def go_on_from(self, now_s: float) -> None:
         """Take up the time of a run that was interrupted."""
-        self.now_s = now_s
+        self.now_s = self._save_at_s = now_s
         self._pace_from_here()
 
-    def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
+    def wait(self, wakes: Sequence[Wake]) -> None:
         """Go on to the earliest of `wakes`, letting the process take its steps on the way.
 
-        The process is saved first, unless it only goes on with what it was told before: the program never knows of
-        it what a killed program's process would not have.
         Raises RuntimeError if nothing can ever wake: no time is given and no process could fire.
         """
         limit_s, signals = math.inf, list[tuple[Signal, int]]()
@@ -67,8 +71,9 @@ class VirtualClock:
         process, beat = self.process, self._beat
         if math.isinf(limit_s) and (process is None or not signals):
             raise RuntimeError("a wait without end: no time given, and nothing that could fire")
-        if process is not None and not again:
+        if process is not None and self.now_s >= self._save_at_s:
             process.save()
+            self._save_at_s = self.now_s + SAVED_EVERY_S
         beat()
         while self.now_s < limit_s and not _has_fired(signals):
             self.now_s = limit_s if process is None else process.step(self.now_s, limit_s)
@@ -126,7 +131,7 @@ class WallClock:
         """Take up the time of what was interrupted."""
         self._began = time.monotonic() - now_s
 
-    def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
+    def wait(self, wakes: Sequence[Wake]) -> None:
         """Sleep until the earliest of `wakes` is due or one of their signals has fired."""
         limit_s = min((wake.until_s for wake in wakes), default=math.inf)
         for wake in wakes:

@@ -207,10 +207,8 @@ class Runner:
         clock, control = self._cell.clock, self._control
         wakes = [*shared.wakes(), wish]
         silence = Wake(clock.now_s + MAX_SILENCE_S)
-        again = False
         while True:
-            clock.wait([*wakes, silence, *self._watched()], again=again)
-            again = True
+            clock.wait([*wakes, silence, *self._watched()])
             if (fault := self._look()) is not None:
                 return fault
             now_s = clock.now_s
