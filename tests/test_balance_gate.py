@@ -236,6 +236,7 @@ def test_a_sound_balance_and_one_that_is_a_little_slower_change_nothing(tmp_path
         assert ran.session.cell.known_delay_s == pytest.approx(min(delays_s), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_delay_known_from_an_earlier_run_is_held_against_the_first_container(tmp_path: Path) -> None:
     cell = dry_run(tmp_path, RECIPE).session.cell
     quicker = replace(cell, simulated=False, balance_figures={"delay_s": 0.3}, known_delay_s=None)
@@ -244,6 +245,7 @@ def test_a_delay_known_from_an_earlier_run_is_held_against_the_first_container(t
     assert quicker.known_delay_s == 0.3
 
 
+@pytest.mark.slow
 def test_the_container_of_a_balance_with_a_dead_time_is_waited_for(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, RECIPE, plant=f"{__name__}:Late", controller="paper")
     assert [placed["delay_s"] for placed in told(ran, "container")] == pytest.approx(4 * [1.6], abs=0.2)

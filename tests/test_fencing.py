@@ -42,6 +42,7 @@ def test_of_two_resumes_the_one_that_waited_at_its_prompt_while_the_other_dosed_
     assert run.go(Watch(), resumes=True).exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_run_is_held_from_before_its_history_is_read(
     run: Run, command: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:

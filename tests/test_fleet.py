@@ -592,6 +592,7 @@ def test_a_station_that_waits_for_the_run_of_one_before_it_says_what_that_does(
     assert said[:2] == [waits, "runs job 1: is paused; `scuhand-bt resume night` continues"]
 
 
+@pytest.mark.slow
 def test_a_station_that_ends_with_its_run_at_a_ctrl_c_says_what_that_has_come_to(database: str, tmp_path: Path) -> None:
     lab = make_lab(tmp_path / "lab")
     order = submission_of(plan_of(lab, count=30), simulated=True)
@@ -681,6 +682,7 @@ def test_a_lab_has_one_station_and_a_name_one_lab(database: str, tmp_path: Path,
     assert " now " not in out
 
 
+@pytest.mark.slow
 def test_a_station_that_has_jobs_takes_none_under_another_name(database: str, tmp_path: Path, offer: Offer) -> None:
     """A run that was killed held back the others of its cell only until the station was called otherwise."""
     lab = make_lab(tmp_path / "lab")

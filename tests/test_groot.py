@@ -260,6 +260,7 @@ def test_a_workflow_that_the_format_has_no_word_for_runs_and_is_not_shown(
     assert b"a 'switch' of 1 cases cannot stand in a file of BehaviorTree.CPP" in said[1]
 
 
+@pytest.mark.slow
 def test_transitions_are_recorded_when_asked_for(lab: api.OpenLab, tmp_path: Path, publisher: Publisher) -> None:
     found: list[tuple[int, int]] = []
 

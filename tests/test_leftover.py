@@ -108,6 +108,7 @@ def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_
     assert masses_mg["source:beads"] == pytest.approx(20_000.0 - put_mg, abs=1.0)
 
 
+@pytest.mark.slow
 def test_a_load_that_was_nothing_is_believed_in_its_mortar_still_when_it_is_discarded(tmp_path: Path) -> None:
     """Else the next scoop, made for a bed of so much less, brought twice the load limit, and lost 3 g on the way."""
     text = RECIPE.replace("WORKFLOW", "fill_crucible").replace("LEFTOVER", "leftover: discard")

@@ -73,6 +73,7 @@ def recipes(draw: st.DrawFn) -> str:
     return f"recipe: any\norder: {order}\nsamples:\n{''.join(samples)}on_failure: {{otherwise: {policy}}}\n"
 
 
+@pytest.mark.slow
 @given(recipe=recipes(), seed=st.integers(0, 10_000), stop_at=st.one_of(st.none(), st.integers(1, 400)))
 @settings(
     max_examples=4,

@@ -34,6 +34,7 @@ def test_a_load_that_may_lean_more_is_never_carried_more_slowly(planner):
         assert taken_s == sorted(taken_s)
 
 
+@pytest.mark.slow
 def test_a_load_between_places_is_never_quicker_than_the_empty_cone_and_a_looser_one_never_slower():
     planner = drawn(216).planner()
     empty_s = planner.move(planner.standing_at("mortar_bay"), "balance").duration_s
@@ -88,11 +89,13 @@ def test_a_load_that_may_lean_is_not_bound_to_the_way_of_one_that_may_not():
     assert leaning_s < 1.1 * empty_s
 
 
+@pytest.mark.slow
 def test_a_load_for_which_the_search_is_ever_so_strict_is_never_quicker(planner):
     taken_s = [carried(planner, limit_deg).duration_s for limit_deg in (11.0, 9.9, 7.0, 4.0, 2.0)]
     assert taken_s == sorted(taken_s)
 
 
+@pytest.mark.slow
 def test_a_load_is_carried_alike_whatever_was_asked_before(planner):
     other = LAYOUT.planner()
     one, two = carried(other, 15.0), carried(planner, 15.0)

@@ -332,6 +332,7 @@ def test_straight_down_to_a_place_every_height_over_the_pan_lets_the_arm(planner
         assert max(way.tilt_deg for way in ways) < 0.5
 
 
+@pytest.mark.slow
 def test_what_is_kept_for_cones_of_many_sizes_does_not_grow(planner):
     """Every scoop forms another; a planner that kept what it made for each would fill the memory."""
     counts = []

@@ -101,6 +101,7 @@ def test_a_sample_that_was_not_dosed_is_no_good_one_between_two_overshoots(tmp_p
     assert codes(ran.result) == told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "dosed"), first_daily((3, 4), (0, 6), (1, 2)))
 def test_the_recipe_says_how_many(tmp_path: Path, limit: int, dosed: int) -> None:
     ran = run(tmp_path, {2, 3, 4, 5, 6}, SIX + f"overshoot_limit: {limit}\n")

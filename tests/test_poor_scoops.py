@@ -125,6 +125,7 @@ def test_a_source_that_gives_nothing_costs_two_scoops_and_its_other_samples_are_
     assert ran.result.exit_code == 1
 
 
+@pytest.mark.slow
 def test_small_doses_of_which_nothing_comes_cost_two_scoops_as_large_ones_do(tmp_path: Path) -> None:
     samples = "samples: [{id: a, source: beads, mass: 20 mg}, {id: b, source: beads, mass: 25 mg}]"
     recipe = f"recipe: r\nworkflow: fill_xrd_holder\ndefaults: {{container: xrd_holder}}\n{samples}\n"
@@ -223,6 +224,7 @@ def test_a_person_who_says_redo_has_looked_after_the_source(tmp_path: Path) -> N
     assert case.session.cell.believed.containers_used == {"alumina_crucible": 5}
 
 
+@pytest.mark.slow
 def test_the_last_of_a_large_dose_comes_out_of_a_fresh_load(tmp_path: Path) -> None:
     """Crystals of which the last third comes only shaken, in avalanches."""
     recipe = """

@@ -180,6 +180,7 @@ def test_what_physics_of_ones_own_import_is_theirs(tmp_path: Path, monkeypatch: 
         del sys.modules[name]
 
 
+@pytest.mark.slow
 def test_what_a_process_has_read_of_physics_before_their_file_was_changed_is_not_tried_for_them(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -233,6 +234,7 @@ def test_a_change_that_no_lab_may_have_is_refused_as_in_any_lab(setup: Setup) ->
     assert said.endswith(f"(with {FLOW}: -3)")
 
 
+@pytest.mark.slow
 def test_tables_beside_a_recipe_below_it_and_elsewhere_in_the_lab_are_tried_too(setup: Setup) -> None:
     for folder in ("recipes/deep", "tables"):
         (setup.lab / folder).mkdir()
@@ -744,6 +746,7 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
     assert json.loads(command("plan", setup.recipe, "--trials", 0, "--json").stdout)["odds"] is None
 
 
+@pytest.mark.slow
 def test_trials_are_written_as_parquet_too(setup: Setup, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     one = trial(setup, 1)

@@ -257,6 +257,7 @@ def test_what_a_fallback_has_tried_has_failed_and_what_it_did_not_come_to_is_ski
         assert tree_of(now)[0].state == "running", "what is still to come of a job is not done"
 
 
+@pytest.mark.slow
 def test_no_color_means_none(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
     text = io.StringIO()

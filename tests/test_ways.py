@@ -280,6 +280,7 @@ def test_a_fresh_sheets_cone_that_is_wider_than_the_usual_one_must_come_everywhe
     assert any("wall" in message for message in blocked(lab))
 
 
+@pytest.mark.slow
 def test_a_hand_so_heavy_that_a_servo_gets_hot_is_warned_of_each_time(lab: LabFolder) -> None:
     lab.replace("robot/cell.yaml", "hand: {driver: hand_controller,", "hand: {driver: hand_controller, mass: 480 g,")
     for _ in range(2):
