@@ -177,6 +177,22 @@ def test_a_filter_that_has_begun_to_adapt_is_taken_for_what_a_container_has_show
     assert cell.balance_belief == (balance_of(step) if is_taken else learnt)
 
 
+@pytest.mark.parametrize(("adapts", "is_taken"), [(False, False), (True, True)])
+def test_a_container_that_was_weighed_a_little_too_high_is_no_filter_that_has_begun_to_adapt(
+    sound: Cell, adapts: bool, is_taken: bool
+) -> None:
+    """It was looked at for some seconds after it had come to rest, as nothing is weighed while a scoop goes on."""
+    whole, error_mg = late_at_last(0.6) if adapts else late_by(0.6), 0.1
+    looked = sum(time_s < 8.0 for time_s in whole.times_s)
+    missing = tuple(share + error_mg / whole.step_mg for share in whole.missing[:looked])
+    step = Step(whole.step_mg, whole.times_s[:looked], missing, uncertainty_mg=0.05)
+    assert balance_of(step).adapts, "taken by itself, it looks like one"
+    learnt = BalanceBelief(lag_s=0.3, misfit=0.01, fits=3)
+    cell = replace(sound, balance_belief=learnt, known_delay_s=0.6, record=Record(lambda event: None))
+    require_known_delay(cell, step)
+    assert cell.balance_belief == (balance_of(step) if is_taken else learnt)
+
+
 @pytest.mark.parametrize(
     ("by_hand", "delay_s", "refused"),
     [(False, 6.29, False), (False, 6.31, True), (True, 7.29, False), (True, 7.31, True)],

@@ -10,7 +10,18 @@ from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.clock import Steps, Wake, pause
 from scuhand_bt.devices.interfaces import Hands, Reading, StableMean
-from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, differ_mg, moved_mg, standing, total
+from scuhand_bt.dosing.bracket import (
+    AGREEMENT,
+    Closed,
+    Gross,
+    Net,
+    apart_mg,
+    close,
+    differ_mg,
+    moved_mg,
+    standing,
+    total,
+)
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, is_frozen, step_of
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
 from scuhand_bt.dosing.identification import balance_of
@@ -211,7 +222,8 @@ def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Ste
         return None
     curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if before.time_s <= one.time_s <= after.time_s]
     latest_s = math.inf if cell.changer.needs_person else changed_s
-    return step_of(curve, before.gross_mg, after.gross_mg, latest_s)
+    step = step_of(curve, before.gross_mg, after.gross_mg, latest_s)
+    return step and step._replace(uncertainty_mg=after.uncertainty_mg)
 
 
 def require_known_delay(cell: Cell, step: Step) -> None:
@@ -229,8 +241,10 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     if is_slower:
         cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
     found, known = balance_of(step), cell.balance_belief
-    # What takes less than a reading longer at its last is no filter that adapts: one that rings looks like it.
-    has_begun_to_adapt = found.adapts and not known.adapts and 2.0 * found.lag_s > delay_s + inexact_s
+    # What takes less than a reading longer at its last is no filter that adapts: one that rings looks like it, and so
+    # does one whose container was weighed a tenth of a milligram too high.
+    is_sure = balance_of(step, AGREEMENT).adapts and 2.0 * found.lag_s > delay_s + inexact_s
+    has_begun_to_adapt = is_sure and not known.adapts
     is_news = known.fits == 0 or has_begun_to_adapt
     if is_slower or (is_news and not cell.changer.needs_person):
         cell.balance_belief = found

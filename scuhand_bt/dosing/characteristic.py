@@ -59,6 +59,8 @@ class Step(NamedTuple):
     """Of N readings: so long after the step came, growing."""
     missing: tuple[float, ...]
     """(N,) so large a share of the step they did not show yet; negative where they showed too much."""
+    uncertainty_mg: float = 0.0
+    """Standard uncertainty of the weighing that it came to rest at."""
 
     @property
     def delay_s(self) -> float:
@@ -70,10 +72,21 @@ class Step(NamedTuple):
     def last_s(self) -> float:
         """T of the last `LAST_MG` of the step, from the last reading that missed more than that."""
         last = LAST_MG / self.step_mg
-        large = [number for number, share in enumerate(self.missing) if abs(share) > last]
-        shown = list(zip(self.times_s, self.missing, strict=True))[large[-1] if large else 0 :]
-        points = [(time_s, min(share, last)) for time_s, share in shown]
+        points = [(time_s, min(share, last)) for time_s, share in self._shown_last]
         return sum((a + b) / 2.0 * (to_s - from_s) for (from_s, a), (to_s, b) in pairwise(points)) / last
+
+    @property
+    def last_uncertainty_s(self) -> float:
+        """Standard uncertainty of `last_s`: the longer it was looked at, the more an error of the weighing makes."""
+        times_s = [time_s for time_s, _ in self._shown_last]
+        return (times_s[-1] - times_s[0]) * self.uncertainty_mg / LAST_MG
+
+    @property
+    def _shown_last(self) -> list[tuple[float, float]]:
+        """Times and shares, from the last reading that missed more than `LAST_MG`."""
+        last = LAST_MG / self.step_mg
+        large = [number for number, share in enumerate(self.missing) if abs(share) > last]
+        return list(zip(self.times_s, self.missing, strict=True))[large[-1] if large else 0 :]
 
 
 def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) -> Step | None:

@@ -90,11 +90,12 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float | Arra
     return still, adds
 
 
-def balance_of(step: Step) -> BalanceBelief:
+def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
     """The balance that has shown a step so: its delay is known without a model, its shape is the nearest one.
 
     A filter that adapts hurries for a step, and takes its time over the last of it: then its delay is taken to be the
-    geometric mean of what it is in a hurry and what it is otherwise, and may be either.
+    geometric mean of what it is in a hurry and what it is otherwise, and may be either. What makes the last longer by
+    no more than so many standard deviations (`beyond`) is taken for chance.
     """
     delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
     for shape, (pure, damping) in SHAPES.items():
@@ -105,7 +106,8 @@ def balance_of(step: Step) -> BalanceBelief:
         last_s[shape] = step._replace(missing=missing).last_s
     shape = min(far, key=far.__getitem__)
     slower = 1.0
-    if step.last_s > max(last_s[shape], 0.0) + ADAPTS * delay_s:
+    longer_s = max(ADAPTS * delay_s, beyond * step.last_uncertainty_s)
+    if step.last_s > max(last_s[shape], 0.0) + longer_s:
         slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
     apart = 0.5 * math.log(slower)
     doubt, adapts = math.hypot(STEP_DOUBT, apart), apart > STEP_DOUBT
