@@ -11,7 +11,7 @@ from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.clock import Steps, Wake, pause
 from scuhand_bt.devices.interfaces import Hands, Reading, StableMean
 from scuhand_bt.dosing.bracket import (
-    AGREEMENT,
+    SURELY,
     Closed,
     Gross,
     Net,
@@ -243,7 +243,7 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     found, known = balance_of(step), cell.balance_belief
     # What takes less than a reading longer at its last is no filter that adapts: one that rings looks like it, and so
     # does one whose container was weighed a tenth of a milligram too high.
-    is_sure = balance_of(step, AGREEMENT).adapts and 2.0 * found.lag_s > delay_s + inexact_s
+    is_sure = balance_of(step, SURELY).adapts and 2.0 * found.lag_s > delay_s + inexact_s
     has_begun_to_adapt = is_sure and not known.adapts
     is_news = known.fits == 0 or has_begun_to_adapt
     if is_slower or (is_news and not cell.changer.needs_person):
