@@ -67,10 +67,15 @@ sources: {lot: {station: %s, container: %s, powder: glass_beads, amount: %s}}
 defaults: {source: lot, container: alumina_crucible, tolerance: 10 mg}
 samples: [{id: a, mass: 300 mg}]
 """
-MORTARS = (("mortar_bay", "agate_mortar", "20 g"), ("mortar_bay_2", "small_agate_mortar", "8 g"))
+MORTARS = (
+    ("mortar_bay", "agate_mortar", "20 g"),
+    ("mortar_bay_2", "small_agate_mortar", "8 g"),
+    ("mortar_bay", "jar_95", "12 g"),
+)
 """Batches take turns with them."""
+JAR = "  jar_95: {bore: 95 mm, depth: 40 mm, height: 55 mm, outer_diameter: 103 mm, corner: 5 mm}\n"
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
-SCOOPING_S = {"agate_mortar": 4.3, "small_agate_mortar": 7.0}
+SCOOPING_S = {"agate_mortar": 4.3, "small_agate_mortar": 7.0, "jar_95": 4.5}
 """So long, at least, arm or roller are seen to move in a scoop: a run is killed within it, and does not get through."""
 LOOK_S = 0.005
 MOVED = 1e-3
@@ -145,6 +150,8 @@ def make_lab_of_twins(folder: Path, seed: int) -> Path:
     cell["balance"] |= {"port": str(ports / "balance"), "options": {"bits": "8N1"}, "limits": {}}
     cell["changer"] = {"driver": "operator"}
     path.write_text(yaml.safe_dump(cell, sort_keys=False), encoding="utf-8")
+    with (lab / "robot" / "containers.yaml").open("a", encoding="utf-8") as kinds:
+        kinds.write(JAR)
     (lab / "trees" / "scoop_first.yaml").write_text(WORKFLOW, encoding="utf-8")
     (folder / "recipe.yaml").write_text(RECIPE % mortar_of(seed), encoding="utf-8")
     return lab

@@ -108,9 +108,19 @@ def load_vessels(path: Path, problems: Problems, broken: Broken) -> tuple[dict[s
             problems.warn(
                 _mark_in(mortars, name, "bore"), what, "correct the bore or the outer diameter", code="implausible-size"
             )
+        if mortar.corner_mm is None and mortar.depth_mm >= DEEP * mortar.bore_mm:
+            steep_deg = math.degrees(2.0 * math.atan(2.0 * mortar.depth_mm / mortar.bore_mm))
+            what = (
+                f"'{name}' has no 'corner', so it is taken for a bowl; one of {mortar.bore_mm:g} mm bore and "
+                f"{mortar.depth_mm:g} mm depth is {steep_deg:.0f}° steep at its edge, as few are"
+            )
+            add = "a beaker or a jar has a level floor: add the radius between that and its wall, as 'corner: 5 mm'"
+            problems.warn(_mark_in(mortars, name, "depth"), what, add, code="implausible-size")
     return found, bowls
 
 
+DEEP = 0.4
+"""Of its bore: a bowl that is so deep is nearly half a sphere. A mortar's is about a third, most jars' are deeper."""
 ROOMY = 20.0
 """No vessel holds so many times what a tube of its mouth and height would, nor a tube so many times what it holds that
 this is `NARROW` of it: a slip of units does."""

@@ -81,9 +81,9 @@ class Scoop(Skill[Milligrams]):
         believed.touched(source)
         bed = self._bed(cell)
         stroke, motion = yield from cell.planned(lambda: self._planned(cell, self._wished(cell, bed, in_mortar_mg)))
-        yield from cell.make_stroke(motion, stroke.open_mm, source.station)
+        open_mm = yield from cell.make_stroke(motion, source.station)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
-        held_mg = self._believe(cell, stroke, motion.duration_s, bed)
+        held_mg = self._believe(cell, stroke, open_mm, motion.duration_s, bed)
         yield from cell.move_to(source.station)
         return held_mg
 
@@ -167,7 +167,7 @@ class Scoop(Skill[Milligrams]):
         first = cell.strokes_made.get(self.source.name, 0)
         return [(outward_deg + HEADINGS_DEG[(first + k) % len(HEADINGS_DEG)]) % 360.0 for k in range(len(HEADINGS_DEG))]
 
-    def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, bed: AnyBed) -> float:
+    def _believe(self, cell: Cell, stroke: Stroke, open_mm: float, duration_s: float, bed: AnyBed) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""
         source, believed = self.source, cell.believed
         sheet_radius_mm = cell.spec.hand.sheet_radius_mm
@@ -177,7 +177,7 @@ class Scoop(Skill[Milligrams]):
             Scooped(
                 source=source.name,
                 expected_mg=believed.cone_mg,
-                open_mm=stroke.open_mm,
+                open_mm=open_mm,
                 closed_mm=stroke.closed_mm,
                 heading_deg=stroke.heading_deg,
                 gap_mm=stroke.gap_mm,

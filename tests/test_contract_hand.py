@@ -129,17 +129,18 @@ def test_a_stop_shuts_a_valve_that_is_streamed_to_and_holds_the_sheet(bench: Any
 # --- the sheet
 
 
-def test_the_cone_changes_at_the_hands_speed_or_slower_and_no_faster(bench: Any) -> None:
-    hand, spec = bench.device, bench.device.spec
+def test_the_cone_changes_at_the_hands_speed_or_slower_and_no_faster(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hand = bench.device
     bench.run(hand.morph(84.0))
-    hand.spec = spec.model_copy(update={"morph_speed_mm_per_s": 12.0})
+    monkeypatch.setattr(hand, "spec", hand.spec.model_copy(update={"morph_speed_mm_per_s": 12.0}))
     usual_s = edge_travel_mm(84.0, 88.0) / hand.spec.morph_speed_mm_per_s
     assert usual_s - 0.05 <= bench.timed(hand.morph(88.0)) <= usual_s + 0.1 + bench.late_s
     assert hand.cone_diameter_mm == pytest.approx(88.0, abs=0.1)
     assert usual_s - 0.05 <= bench.timed(hand.morph(84.0, 0.01)) <= usual_s + 0.1 + bench.late_s
     assert 1.45 <= bench.timed(hand.morph(88.0, 1.5)) <= 1.6 + bench.late_s
     assert hand.is_stopped
-    hand.spec = spec
 
 
 class Rolling:
@@ -163,16 +164,15 @@ def course(spec: HandSpec, begin_mm: float, end_mm: float) -> SomeAxes:
     return of_roller(Rolling(*(math.radians(Cone(rim_mm).roller_deg(spec)) for rim_mm in (begin_mm, end_mm))))
 
 
-def test_what_watches_the_sheet_is_told_how_it_is_about_to_change(bench: Any) -> None:
+def test_what_watches_the_sheet_is_told_how_it_is_about_to_change(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     hand, told = bench.device, list[Forming]()
     bench.run(hand.morph(84.0))
-    hand.on_start = told.append
+    monkeypatch.setattr(hand, "on_start", told.append)
     bench.run(hand.morph(90.0, 1.0))
     hand.start_rolling(course(hand.spec, 90.0, 84.0))
     bench.pass_time(0.5)
     half_mm = hand.cone_diameter_mm
     bench.until(lambda: hand.is_stopped, 1.5)
-    hand.on_start = lambda forming: None
     morphed, rolled = told
     assert [morphed.rim_mm(s) for s in (0.0, 0.5, 1.0)] == pytest.approx([84.0, 87.0, 90.0], abs=0.2)
     assert (morphed.with_arm, rolled.with_arm) == (False, True)
@@ -202,6 +202,21 @@ def test_the_cone_is_counted_from_what_a_person_has_seen_of_it(bench: Any) -> No
     assert hand.cone_diameter_mm == pytest.approx(90.0, abs=0.1)
     bench.run(hand.morph(85.0))
     assert hand.cone_diameter_mm == pytest.approx(85.0, abs=0.1)
+
+
+@pytest.mark.parametrize("begins_mm", [86.0, 90.0])
+def test_a_course_that_begins_with_another_rim_is_refused_and_nothing_moves(bench: Any, begins_mm: float) -> None:
+    hand = bench.device
+    bench.run(hand.morph(88.0))
+    says = (
+        rf"arm\.not_following: the course begins 7\d\.\d° from where the roller stands: "
+        rf"with a rim of {begins_mm:.1f} mm, and the cone's is 88\.0 mm"
+    )
+    with pytest.raises(SkillFailed, match=says):
+        hand.start_rolling(course(hand.spec, begins_mm, 84.0))
+    bench.pass_time(0.1)
+    assert hand.cone_diameter_mm == pytest.approx(88.0, abs=0.1)
+    assert hand.is_stopped
 
 
 @pytest.mark.parametrize("beyond_mm", [29.9, 95.1])
@@ -269,14 +284,11 @@ def test_the_longest_pulse_is_taken(bench: Any) -> None:
     steps.close()
 
 
-def test_a_hand_without_streaming_takes_no_openings(bench: Any) -> None:
-    hand, spec = bench.device, bench.device.spec
-    hand.spec = spec.model_copy(update={"streaming": False})
-    try:
-        with pytest.raises(RuntimeError, match=r"this hand takes the step command only: use pulse\(\)"):
-            hand.set_opening(1.0)
-    finally:
-        hand.spec = spec
+def test_a_hand_without_streaming_takes_no_openings(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    hand = bench.device
+    monkeypatch.setattr(hand, "spec", hand.spec.model_copy(update={"streaming": False}))
+    with pytest.raises(RuntimeError, match=r"this hand takes the step command only: use pulse\(\)"):
+        hand.set_opening(1.0)
     bench.pass_time(0.1)
     assert is_safe(bench)
 

@@ -9,6 +9,7 @@ from conftest import LabFolder, read
 from running import Ran, dry_run, make_lab
 from test_poor_scoops import PoorScoops
 
+from scuhand_bt.dosing.jars import along_floor
 from scuhand_bt.lab import read_lab
 from scuhand_bt.problems import Problem
 from scuhand_bt.recipe.plan import make_plan
@@ -69,6 +70,19 @@ def test_doses_of_a_jar_are_good_as_long_as_check_says_that_it_has_enough(tmp_pa
     world = ran.session.world
     assert world is not None
     assert world.masses_mg["spilled"] == 0.0
+
+
+@pytest.mark.slow
+def test_a_stroke_begins_with_the_rim_that_the_cone_was_formed_to(tmp_path: Path) -> None:
+    """In a jar the sheet must pass the wall: the lip comes to the floor where the rim has closed by some of its way."""
+    ran = dosed(tmp_path, recipe([300.0]))
+    assert ran.sample("s0").verdict == "in tolerance"
+    events = read(ran.journal, "event")
+    turned = [row["payload"]["rims_mm"] for row in events if row["kind"] == "arm_moves" and row["payload"]["rims_mm"]]
+    forming, stroke, _ = turned
+    (scooped,) = [row["payload"] for row in events if row["kind"] == "scoop"]
+    assert forming[-1] == stroke[0] == pytest.approx(scooped["open_mm"], abs=0.01)
+    assert scooped["open_mm"] < along_floor(ran.session.cell.sources["msg"].mortar, 50.0).open_mm - 1.0
 
 
 @pytest.mark.slow

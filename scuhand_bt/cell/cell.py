@@ -39,6 +39,8 @@ RIGHTED_MM_PER_S, RIGHTED_STEP_RAD = 100.0, math.radians(20.0)
 """As it is poured: between two such steps the lip of a cone that is turned about it strays by some millimetres."""
 LOAD_STEP_MM3 = 2000.0
 LIMIT_STEP_DEG = 0.1
+RIM_DECIMALS = 6
+"""Of a rim [mm] that is worked out of the roller's angle, so that rounding makes no other rim of it."""
 RECENT = 4000
 """Readings that are at hand: some minutes, in which a person puts a container on the pan."""
 
@@ -203,16 +205,20 @@ class Cell:
         near = self._planner().standing_at(source.station)
         return planned_stroke(self.motion, near, path, self.spec, source.station, source.mortar)
 
-    def make_stroke(self, motion: "StoppableTrajectory", open_mm: float, station: str) -> Steps[None]:
+    def make_stroke(self, motion: "StoppableTrajectory", station: str) -> Steps[float]:
         """To where a stroke at a mortar's station begins, its cone formed, and along it: arm and roller in one motion.
 
-        The cone is formed on the way there: from where the arm stands, or, where something is in its way, or powder may
-        be left in the cone, which falls out as that tips, from the mortar's place; and where it is there, too, before
-        that way.
+        Gives the rim's diameter [mm] with which the stroke begins. The cone is formed on the way there: from where the
+        arm stands, or, where something is in its way, or powder may be left in the cone, which falls out as that tips,
+        from the mortar's place; and where it is there, too, before that way.
         """
+        # Not what the stroke was asked for: where the lip comes to the wall later, the rim has closed somewhat by then.
+        begins_deg = math.degrees(float(motion.start[-1]))
+        open_mm = round(Cone.from_roller(begins_deg, self.spec.hand).diameter_mm, RIM_DECIMALS)
         with self.right_of_way.ahead():
             yield from self._led_to(motion.start[:-1], open_mm, station)
             yield from self._together(motion)
+        return open_mm
 
     def _led_to(self, begin: Joints, open_mm: float, station: str) -> Steps[None]:
         """To where a stroke begins, its cone formed."""

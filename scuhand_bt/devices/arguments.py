@@ -15,6 +15,8 @@ from scuhand_bt.motion.axes import SomeAxes
 
 START_LIMIT_RAD = math.radians(3.0)
 """How far from the arm a trajectory may begin: a servo under load stands a little off its goal."""
+ROLLER_START_LIMIT_RAD = math.radians(10.0)
+"""How far from the roller a course may begin: 0.3 mm of rim; it comes to rest a few degrees after the arm."""
 LOOK_S = 0.02
 """Between two looks at where a trajectory would lead the joints."""
 ROUNDED_MM = 0.01
@@ -82,13 +84,24 @@ def check_rim(diameter_mm: float, spec: HandSpec) -> None:
         raise ValueError(f"the roller makes rims of {narrowest_mm:g} to {widest_mm:g} mm, not of {diameter_mm:g} mm")
 
 
-def checked_course(course: SomeAxes, spec: HandSpec) -> tuple[float, float]:
-    """The least and the greatest angle [rad] of the roller on a course; ValueError where that leaves its limits."""
+def checked_course(course: SomeAxes, spec: HandSpec, rim_mm: float) -> tuple[float, float]:
+    """The least and the greatest angle [rad] of the roller on a course, which has made a rim of `rim_mm` now.
+
+    ValueError where the course leaves its limits; SkillFailed arm.not_following where it begins elsewhere.
+    """
     looks = max(2, math.ceil(course.duration_s / LOOK_S) + 1)
     angles_rad = [float(course.sample(time_s)[0]) for time_s in np.linspace(0.0, course.duration_s, looks).tolist()]
     ends_rad = min(angles_rad), max(angles_rad)
     for angle_rad in ends_rad:
         check_rim(Cone.from_roller(math.degrees(angle_rad), spec).diameter_mm, spec)
+    stands_rad = math.radians(Cone(rim_mm, spec.sheet_radius_mm).roller_deg(spec))
+    if (off_rad := abs(angles_rad[0] - stands_rad)) > ROLLER_START_LIMIT_RAD:
+        begins_mm = Cone.from_roller(math.degrees(angles_rad[0]), spec).diameter_mm
+        raise SkillFailed(
+            Code.ARM_NOT_FOLLOWING,
+            f"the course begins {math.degrees(off_rad):.1f}° from where the roller stands: "
+            f"with a rim of {begins_mm:.1f} mm, and the cone's is {rim_mm:.1f} mm",
+        )
     return ends_rad
 
 

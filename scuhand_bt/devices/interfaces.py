@@ -187,7 +187,8 @@ class Hand(Device, Protocol):
     def start_rolling(self, course: SomeAxes) -> None:
         """Begin to turn the roller along a course, one angle [rad] counted from the flat sheet, beside the arm's.
 
-        ValueError and SkillFailed as `start_morph`. `stop` ends it as it ends the arm's part of the same motion.
+        ValueError and SkillFailed as `start_morph`, and arm.not_following for a course that does not begin with the rim
+        that there is. `stop` ends it as it ends the arm's part of the same motion.
         """
         ...
 

@@ -171,8 +171,8 @@ class ScuHand:
 
     def start_rolling(self, course: SomeAxes) -> None:
         """Begin to turn the roller along a course that is counted from the flat sheet."""
-        ends_rad = checked_course(course, self.spec)
         self._require_roller()
+        ends_rad = checked_course(course, self.spec, self.cone_diameter_mm)
         zero_rad = math.radians(self._at_zero_deg)
         self._keep(*(end_rad - zero_rad for end_rad in ends_rad))
         self._form(course.counted_from(zero_rad), with_arm=True)

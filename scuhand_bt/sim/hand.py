@@ -152,8 +152,8 @@ class SimulatedHand:
         self._morph = (begin_s, end_s, from_mm, cone_diameter_mm)
 
     def start_rolling(self, course: SomeAxes) -> None:
-        checked_course(course, self.spec)
         self._require_roller()
+        checked_course(course, self.spec, self.cone_diameter_mm)
         self.on_start(Forming(course.duration_s, lambda s: self._rolled_mm(course, s), with_arm=True))
         self._morph, self._course = None, (self._clock.now_s, course)
 
