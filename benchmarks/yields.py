@@ -103,13 +103,14 @@ class Watching(BatchObserver):
         self.doses: list[tuple[int, float, float]] = []
         """Doses with it, believed and true content after it, as shares of what the last scoop brought."""
         self.results: list[SampleResult] = []
-        self._scooped_mg = 0.0
+        self._strokes = 0
 
     def ticked(self, root: Behaviour) -> None:
-        scooped_mg = self.session.cell.believed.load.scooped_mg
-        if scooped_mg > self._scooped_mg:
+        # What a load's scoops should have brought grows without one, too, as what the last stroke had missed is found.
+        strokes = sum(self.session.cell.strokes_made.values())
+        if strokes > self._strokes:
             self.scoops.append((len(self.doses), *self._contents_mg()))
-        self._scooped_mg = scooped_mg
+        self._strokes = strokes
 
     def sample_ended(self, result: SampleResult) -> None:
         if result.id in {one.id for one in self.results}:
