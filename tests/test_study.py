@@ -205,6 +205,11 @@ def test_a_file_that_is_no_store_is_refused(setup: Setup, tmp_path: Path) -> Non
         pass
 
 
+def test_what_fails_beside_the_store_is_not_told_of_it(setup: Setup, tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="another file"), open_store(tmp_path / "s.sqlite", setup):
+        raise OSError("another file")
+
+
 def test_what_is_varied_is_what_is_run(setup: Setup) -> None:
     slow, quick = (replace(setup, changes=((FLOW, flow), ("recipe.samples.2.mass", "90 mg"))) for flow in ("20", "300"))
     assert trial(slow, 0).samples[2].target_mg == 90.0

@@ -4,7 +4,7 @@ import hashlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -53,11 +53,15 @@ def open_store(path: Path, setup: Setup) -> Iterator[Store]:
     """The store of a file, made where there is none; SourceError for one that cannot be used."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        database = sqlite3.connect(path)
-        try:
+    except OSError as error:
+        raise _unusable(path, error) from None
+    try:
+        with closing(sqlite3.connect(path)) as database:
             database.execute(_SCHEMA)
             yield Store(database, setup)
-        finally:
-            database.close()
-    except (sqlite3.Error, OSError) as error:
-        raise SourceError([Problem(Mark(str(path)), f"the study cannot be kept there: {error}")]) from None
+    except sqlite3.Error as error:
+        raise _unusable(path, error) from None
+
+
+def _unusable(path: Path, why: Exception) -> SourceError:
+    return SourceError([Problem(Mark(str(path)), f"the study cannot be kept there: {why}")])
