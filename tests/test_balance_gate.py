@@ -169,12 +169,14 @@ def test_slower_is_a_quarter_more_than_was_measured_or_else_learnt_and_a_person_
 def test_a_filter_that_has_begun_to_adapt_is_taken_for_what_a_container_has_shown_of_it(
     sound: Cell, by_hand: bool, adapted: bool, delay_s: float, is_taken: bool
 ) -> None:
-    changes: dict[str, Any] = {"changer": SimpleNamespace(needs_person=by_hand), "record": Record(lambda event: None)}
+    events: list[Any] = []
+    changes: dict[str, Any] = {"changer": SimpleNamespace(needs_person=by_hand), "record": Record(events.append)}
     learnt = BalanceBelief(lag_s=0.3, misfit=0.01, fits=3, adapts=adapted)
     cell, step = replace(sound, balance_belief=learnt, known_delay_s=delay_s, **changes), late_at_last(delay_s)
     assert balance_of(step).adapts
     require_known_delay(cell, step)
     assert cell.balance_belief == (balance_of(step) if is_taken else learnt)
+    assert [event.adapts for event in events] == [True] * is_taken
 
 
 @pytest.mark.parametrize(("adapts", "is_taken"), [(False, False), (True, True)])
@@ -191,6 +193,31 @@ def test_a_container_that_was_weighed_a_little_too_high_is_no_filter_that_has_be
     cell = replace(sound, balance_belief=learnt, known_delay_s=0.6, record=Record(lambda event: None))
     require_known_delay(cell, step)
     assert cell.balance_belief == (balance_of(step) if is_taken else learnt)
+
+
+@pytest.mark.parametrize(
+    ("adapts", "uncertainty_mg", "by_hand", "is_taken_back"),
+    [
+        (False, 0.02, False, True),
+        (False, 0.2, False, False),
+        (True, 0.02, False, False),
+        (False, 0.02, True, False),
+    ],
+)
+def test_a_balance_that_was_taken_for_one_that_adapts_is_taken_for_what_it_is_by_a_container_that_tells_so_surely(
+    sound: Cell, adapts: bool, uncertainty_mg: float, by_hand: bool, is_taken_back: bool
+) -> None:
+    """One container of a thousand looks so by chance: 110 doses in a row took 70 s for it, and six were too much."""
+    step = (late_at_last(0.6) if adapts else late_by(0.6))._replace(uncertainty_mg=uncertainty_mg)
+    looked = sum(time_s < 8.0 for time_s in step.times_s)
+    step = step._replace(times_s=step.times_s[:looked], missing=step.missing[:looked])
+    events: list[Any] = []
+    taken_for = balance_of(late_at_last(0.6))
+    changes: dict[str, Any] = {"changer": SimpleNamespace(needs_person=by_hand), "record": Record(events.append)}
+    cell = replace(sound, balance_belief=taken_for, known_delay_s=0.6, **changes)
+    require_known_delay(cell, step)
+    assert cell.balance_belief == (balance_of(step) if is_taken_back else taken_for)
+    assert [event.adapts for event in events] == [False] * is_taken_back
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from scuhand_bt.dosing.identification import (
     Row,
     balance_by,
     balance_of,
+    is_linear,
     transitions,
     with_found,
 )
@@ -96,10 +97,12 @@ KINDS: list[tuple[BalanceKind, int, str | None]] = [
 def test_a_container_shows_how_late_a_balance_is_and_of_what_kind(
     kind: BalanceKind, poles: int, shape: str | None, delay_s: float
 ) -> None:
-    found = balance_of(step_on(balance(kind, delay_s, poles=poles)))
+    step = step_on(balance(kind, delay_s, poles=poles))
+    found = balance_of(step)
     assert 2.0 * found.lag_s == pytest.approx(delay_s, abs=0.1)
     assert found.doubt < 0.2
     assert not found.adapts
+    assert is_linear(step, 3.0)
     assert shape is None or found.shape == shape
     assert found.fits > 0
 
@@ -107,12 +110,14 @@ def test_a_container_shows_how_late_a_balance_is_and_of_what_kind(
 @pytest.mark.parametrize("delay_s", [0.6, 1.2, 2.4])
 @pytest.mark.parametrize("patience", [2.0, 4.0])
 def test_of_a_filter_that_adapts_a_container_tells_that_it_may_be_slower(delay_s: float, patience: float) -> None:
-    found = balance_of(step_on(balance("adaptive", delay_s, patience=patience)))
+    step = step_on(balance("adaptive", delay_s, patience=patience))
+    found = balance_of(step)
     assert 2.0 * found.lag_s == pytest.approx(delay_s * math.sqrt(patience), rel=0.25), "between its two faces"
     both = math.exp(2.0 * found.doubt)
     assert 2.0 * found.lag_s / both < delay_s
     assert delay_s * patience < 2.0 * found.lag_s * both
     assert found.adapts
+    assert not is_linear(step, 0.0)
 
 
 def test_the_slow_face_of_a_slow_filter_that_adapts_is_believed_no_later_than_any_balance() -> None:

@@ -24,8 +24,15 @@ from scuhand_bt.dosing.bracket import (
 )
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, is_frozen, step_of
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
-from scuhand_bt.dosing.identification import balance_of
-from scuhand_bt.events.weighings import BalanceSlower, BracketClosed, ContainerAgain, ContainerLifted, LotDosed
+from scuhand_bt.dosing.identification import balance_of, is_linear
+from scuhand_bt.events.weighings import (
+    BalanceAdapts,
+    BalanceSlower,
+    BracketClosed,
+    ContainerAgain,
+    ContainerLifted,
+    LotDosed,
+)
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Container
 
@@ -227,8 +234,8 @@ def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Ste
 
 
 def require_known_delay(cell: Cell, step: Step) -> None:
-    """Before a dose: a balance that is slower than it was, adapts as it did not, or is unknown, is taken for what it
-    has shown of a container.
+    """Before a dose: a balance that is slower than it was, adapts as it did not or no more, or is unknown, is taken for
+    what it has shown of a container.
 
     SkillFailed balance.slow where nothing doses safely with it.
     """
@@ -245,8 +252,13 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     # does one whose container was weighed a tenth of a milligram too high.
     is_sure = balance_of(step, SURELY).adapts and 2.0 * found.lag_s > delay_s + inexact_s
     has_begun_to_adapt = is_sure and not known.adapts
-    is_news = known.fits == 0 or has_begun_to_adapt
+    # One container of a thousand looks like it by chance all the same, one of three hundred where nothing is known.
+    adapts_no_more = known.adapts and is_linear(step, SURELY)
+    is_news = known.fits == 0 or has_begun_to_adapt or adapts_no_more
     if is_slower or (is_news and not cell.changer.needs_person):
+        if known.fits > 0 and found.adapts != known.adapts:
+            late_s = {"delay_s": delay_s, "last_s": step.last_s, "last_uncertainty_s": step.last_uncertainty_s}
+            cell.record.event(BalanceAdapts(adapts=found.adapts, **late_s))
         cell.balance_belief = found
     if not is_slower and cell.known_delay_s is not None:
         delay_s = min(delay_s, known_s)

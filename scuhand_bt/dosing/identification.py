@@ -97,23 +97,35 @@ def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
     geometric mean of what it is in a hurry and what it is otherwise, and may be either. What makes the last longer by
     no more than so many standard deviations (`beyond`) is taken for chance.
     """
+    delay_s, (shape, far, linear_s) = step.delay_s, _nearest(step)
+    slower = 1.0
+    longer_s = max(ADAPTS * delay_s, beyond * step.last_uncertainty_s)
+    if step.last_s > linear_s + longer_s:
+        slower = min(step.last_s / max(linear_s, LEAST_LAST * delay_s), SLOWEST)
+    apart = 0.5 * math.log(slower)
+    doubt, adapts = math.hypot(STEP_DOUBT, apart), apart > STEP_DOUBT
+    misfit = min(far / max(math.hypot(*step.missing), 1e-9), 1.0)
+    lag_s = min(max(delay_s * math.sqrt(slower), LEAST_DELAY_S), LONGEST_S) / 2.0
+    return BalanceBelief(lag_s=lag_s, doubt=doubt, shape=shape, adapts=adapts, misfit=misfit, fits=1)
+
+
+def is_linear(step: Step, beyond: float) -> bool:
+    """Whether the last of a step came too soon, by so many standard deviations, for a filter that adapts."""
+    _, _, linear_s = _nearest(step)
+    return step.last_s + beyond * step.last_uncertainty_s < linear_s + ADAPTS * step.delay_s
+
+
+def _nearest(step: Step) -> tuple[str, float, float]:
+    """The shape that is nearest to a step, how far off it is [1], and what the last of the step takes it [s]."""
     delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
     for shape, (pure, damping) in SHAPES.items():
         times_s = np.array([max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s])
         delays_s, shares, dampings = (np.full_like(times_s, figure) for figure in (delay_s, pure, damping))
         missing = tuple(transitions(delays_s, shares, dampings, times_s)[0][:, READING, READING].tolist())
         far[shape] = math.dist(missing, step.missing)
-        last_s[shape] = step._replace(missing=missing).last_s
+        last_s[shape] = max(step._replace(missing=missing).last_s, 0.0)
     shape = min(far, key=far.__getitem__)
-    slower = 1.0
-    longer_s = max(ADAPTS * delay_s, beyond * step.last_uncertainty_s)
-    if step.last_s > max(last_s[shape], 0.0) + longer_s:
-        slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
-    apart = 0.5 * math.log(slower)
-    doubt, adapts = math.hypot(STEP_DOUBT, apart), apart > STEP_DOUBT
-    misfit = min(far[shape] / max(math.hypot(*step.missing), 1e-9), 1.0)
-    lag_s = min(max(delay_s * math.sqrt(slower), LEAST_DELAY_S), LONGEST_S) / 2.0
-    return BalanceBelief(lag_s=lag_s, doubt=doubt, shape=shape, adapts=adapts, misfit=misfit, fits=1)
+    return shape, far[shape], last_s[shape]
 
 
 def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:

@@ -14,6 +14,7 @@ from scuhand_bt.events.cell import (
 from scuhand_bt.events.doses import Dose, DoseCurve, Pulsed, ValueRecorded
 from scuhand_bt.events.entry import SkillEvent
 from scuhand_bt.events.weighings import (
+    BalanceAdapts,
     BalanceDoubted,
     BalanceSlower,
     BalanceWatched,
@@ -49,6 +50,7 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     RepeatabilityMeasured,
     BalanceWatched,
     BalanceSlower,
+    BalanceAdapts,
     BalanceDoubted,
     ArmFreed,
     WayObstructed,

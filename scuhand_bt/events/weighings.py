@@ -71,6 +71,20 @@ class BalanceSlower(SkillEvent):
     """How late it was known to be."""
 
 
+class BalanceAdapts(SkillEvent):
+    """The last of a container tells that a known balance adapts as it did not, or no more: it is taken for that."""
+
+    KIND: ClassVar = "balance_adapts"
+
+    adapts: bool
+    delay_s: float
+    """How late the balance has shown the container."""
+    last_s: float
+    """How late the last 3 mg of it."""
+    last_uncertainty_s: float
+    """Standard uncertainty of `last_s`."""
+
+
 class BalanceDoubted(SkillEvent):
     """A stable mean contradicts what a controller took to be on the pan: what is known of the balance is given up."""
 
