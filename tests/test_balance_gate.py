@@ -179,6 +179,14 @@ def test_a_filter_that_has_begun_to_adapt_is_taken_for_what_a_container_has_show
     assert [event.adapts for event in events] == [True] * is_taken
 
 
+def test_that_an_unknown_balance_adapts_is_no_change_of_it(sound: Cell) -> None:
+    events: list[Any] = []
+    cell = replace(sound, balance_belief=BalanceBelief(), known_delay_s=None, record=Record(events.append))
+    require_known_delay(cell, late_at_last(0.6))
+    assert cell.balance_belief.adapts
+    assert events == []
+
+
 @pytest.mark.parametrize(("adapts", "is_taken"), [(False, False), (True, True)])
 def test_a_container_that_was_weighed_a_little_too_high_is_no_filter_that_has_begun_to_adapt(
     sound: Cell, adapts: bool, is_taken: bool
