@@ -252,7 +252,7 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     # does one whose container was weighed a tenth of a milligram too high.
     is_sure = balance_of(step, SURELY).adapts and 2.0 * found.lag_s > delay_s + inexact_s
     has_begun_to_adapt = is_sure and not known.adapts
-    # One container of a thousand looks like it by chance all the same, one of three hundred where nothing is known.
+    # One container of a thousand looks like it by chance all the same, one of two hundred where nothing is known.
     adapts_no_more = known.adapts and is_linear(step, SURELY)
     is_news = known.fits == 0 or has_begun_to_adapt or adapts_no_more
     if is_slower or (is_news and not cell.changer.needs_person):
