@@ -95,7 +95,7 @@ class Lot:
         there_mg = self._mortar_mg - lost_mg
         self._cone_mg = min(there_mg, self._share * self._yield.collect(lifted_mg, there_mg, self._rng))
         self._mortar_mg = there_mg - self._cone_mg
-        scoop._believe(self._cell, stroke, 0.0, bed)
+        scoop._believe(self._cell, stroke, 0.0, 0.0, bed)
         self.scoops.append((self._doses, believed.cone_mg, self._cone_mg))
 
     def _lifted(self, path: Any) -> tuple[float, float]:

@@ -355,6 +355,25 @@ def test_the_rest_of_a_load_of_which_far_more_came_than_was_thought_tells_how_la
 
 
 @pytest.mark.parametrize(
+    ("scooped_mg", "came_mg", "told"),
+    [
+        (4700.0, 5700.0, 5700.0 / 0.85 / 4700.0),  # 1.21, and far more than a quarter with its rest
+        (4700.0, 5100.0, 5100.0 / 4700.0),  # by chance
+        (4000.0, 4900.0, 4900.0 / 4000.0),  # as much, and the cone may carry it
+    ],
+)
+def test_a_load_beyond_what_the_cone_may_carry_was_larger_by_its_rest_besides(
+    scooped_mg: float, came_mg: float, told: float
+) -> None:
+    believed = Believed()
+    believed.scooped(BEADS, scooped_mg)
+    believed.dosing_ended(came_mg, 0.0)
+    believed.flowed(2.0)
+    believed.rest_left(5000.0)
+    assert believed.yields.get("beads") == pytest.approx(told)
+
+
+@pytest.mark.parametrize(
     ("shaken_mg", "rest", "there_mg"),
     [
         (100.0, {}, 4000.0),  # a drop that hung: it is what it was thought to be

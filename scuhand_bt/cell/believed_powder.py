@@ -179,16 +179,16 @@ class BelievedPowder:
             self.emptied()
             self._set(has_rest=True)
 
-    def rest_left(self) -> None:
+    def rest_left(self, limit_mg: float = math.inf) -> None:
         """What is left in the cone comes only shaken: that is for a dose's most, and not for the last of it.
 
         Where that began long before it should have, the load was a poor one, as its source's next ones will be; and of
-        one that was larger than thought nothing else has told how large.
+        one that was larger than thought nothing else has told how large. `limit_mg` is what a cone may carry of it.
         """
         if (name := self.cone_source) is not None:
             if (rest := self.load.least_rest(self.rests.get(name))) is not None:
                 self._set(rests={**self.rests, name: rest})
-            if (there_mg := self.load.at_rest_mg(self.cone_mg, rest)) is not None:
+            if (there_mg := self.load.at_rest_mg(self.cone_mg, rest, limit_mg)) is not None:
                 self._set(yields={**self.yields, name: there_mg / self.load.scooped_mg})
                 self._moved_to_cone(name, there_mg - self.load.came_mg - self.cone_mg)
         self._set(load=replace(self.load, is_rest=True))
