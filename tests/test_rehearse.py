@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from running import Watching, make_lab, shared_planner
 
+from harness.roller_kill import JAR
 from scuhand_bt import api
 from scuhand_bt.devices.scuhand import ScuHand
 from scuhand_bt.journal.reader import read
@@ -57,7 +58,6 @@ sources:
   beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 6 g}
 samples:
 """
-JAR = "  jar_95: {bore: 95 mm, depth: 40 mm, height: 55 mm, outer_diameter: 103 mm, corner: 5 mm}\n"
 ONE_DOSE = HEAD + "  - {id: a, workflow: dose, container: xrd_holder, mass: 50 mg, tolerance: 5 mg}\n"
 
 
