@@ -19,8 +19,9 @@ from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.dynamixel.arm import arm_axes
+from scuhand_bt.devices.dynamixel.axis_group import AxisGroup
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus, _Packets
-from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import decode, encode
 from scuhand_bt.devices.serial_link import LineBuffer

@@ -23,8 +23,9 @@ import numpy as np
 from benchmarks.figures import spread
 from harness.arm_stops import TwinArm, off_path_rad, simulated_stop, worst_of
 from harness.motion_layouts import LAB, layouts, tasks
+from scuhand_bt.devices.dynamixel.axis_group import STOP_LEAD_S
 from scuhand_bt.devices.dynamixel.bus import BusError
-from scuhand_bt.devices.dynamixel.servo_loop import PERIOD_S, STOP_LEAD_S
+from scuhand_bt.devices.dynamixel.servo_loop import PERIOD_S
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import Mount
 from scuhand_bt.motion.arm_model import Arm

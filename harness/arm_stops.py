@@ -14,8 +14,9 @@ from scuhand_bt.clock import Wake
 from scuhand_bt.device_specs.arm import ArmSpec
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
+from scuhand_bt.devices.dynamixel.axis_group import AxisGroup
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.servo_loop import PERIOD_S, AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import PERIOD_S, ServoChain
 from scuhand_bt.motion.kinematics import Floats, Mount
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.stopping import StoppableTrajectory

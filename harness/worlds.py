@@ -7,31 +7,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from harness.bench import Ill
-from harness.ills_balance import (
+from harness.ills_filters import (
     Adaptive,
-    Between,
     Coarse,
-    Creep,
-    Decay,
     Delay,
-    Draught,
-    Drift,
     Figures,
     FromContainer,
     Frozen,
-    HandForce,
     Hold,
     Later,
     MovingMean,
     Poles,
-    PowderForce,
     Ringing,
-    Sine,
-    Span,
-    Step,
-    Walk,
     ZeroTracking,
 )
+from harness.ills_forces import Between, Creep, Decay, Draught, Drift, HandForce, PowderForce, Sine, Span, Step, Walk
 from harness.ills_powder import Astray, Drip, Drips, Exchanged, Leak, Leftover, Loss, Sheet, carried, dosed, shaken
 from scuhand_bt.sim.mass_ledger import PAN
 

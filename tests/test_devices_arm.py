@@ -15,8 +15,9 @@ from scuhand_bt.device_specs.arm import ArmSpec
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.axes import Axis
+from scuhand_bt.devices.dynamixel.axis_group import AxisGroup
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import ServoChain
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.failures import SkillFailed
@@ -188,8 +189,9 @@ HOST = """
 import sys, time
 import numpy as np
 from scuhand_bt.devices.dynamixel.arm import arm_axes
+from scuhand_bt.devices.dynamixel.axis_group import AxisGroup
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import ServoChain
 from scuhand_bt.device_specs.arm import ArmSpec
 
 class Swaying:

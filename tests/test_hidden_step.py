@@ -9,7 +9,7 @@ import pytest
 
 from harness.bench import Bench
 from harness.falsify import Falsifier, Tally
-from harness.ills_balance import Between
+from harness.ills_forces import Between
 from harness.worlds import WORLDS, HostileWorld
 from scuhand_bt.dosing.bracket import fallen_mg
 from scuhand_bt.dosing.characteristic import Step, step_of

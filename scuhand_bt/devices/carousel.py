@@ -16,8 +16,9 @@ from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.device_specs.changer import CarouselOptions, ChangerSpec
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.axes import Axis
+from scuhand_bt.devices.dynamixel.axis_group import AxisGroup
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
+from scuhand_bt.devices.dynamixel.servo_loop import ServoChain, fault_of
 from scuhand_bt.devices.interfaces import Joints, Site
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Container

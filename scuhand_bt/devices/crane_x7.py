@@ -9,8 +9,9 @@ from scuhand_bt.clock import Signal
 from scuhand_bt.device_specs.arm import ArmOptions, ArmSpec
 from scuhand_bt.device_specs.hand import HandOptions
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
+from scuhand_bt.devices.dynamixel.axis_group import AxisGroup
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.interfaces import Site
 from scuhand_bt.devices.liveness import Liveness

@@ -21,7 +21,8 @@ from scuhand_bt.devices.arguments import (
 )
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.axes import Axis
-from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
+from scuhand_bt.devices.dynamixel.axis_group import AxisGroup
+from scuhand_bt.devices.dynamixel.servo_loop import ServoChain, fault_of
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import FAULTS, LONGEST_DWELL_S
 from scuhand_bt.devices.interfaces import Forming, Joints

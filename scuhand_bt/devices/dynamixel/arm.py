@@ -13,8 +13,9 @@ from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.device_specs.arm import ArmSpec
 from scuhand_bt.devices.arguments import check_trajectory
 from scuhand_bt.devices.dynamixel.axes import Axis
+from scuhand_bt.devices.dynamixel.axis_group import AxisGroup
 from scuhand_bt.devices.dynamixel.registers import XM430, XM540
-from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
+from scuhand_bt.devices.dynamixel.servo_loop import ServoChain, fault_of
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.failures import SkillFailed
 
