@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from scuhand_bt.cell.cell import carrying_limit_deg
+from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.places import over_balance, over_mortar
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM

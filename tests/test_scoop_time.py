@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from running import Ran, dry_run
 
-from scuhand_bt.cell.cell import carrying_limit_deg
+from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read

@@ -6,7 +6,6 @@ Skills act only through this object.
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import is_
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.carrying import spill_limit_of, upright_again
 from scuhand_bt.cell.in_the_way import InTheWay, StoppedShort
 from scuhand_bt.cell.places import Position
 from scuhand_bt.cell.right_of_way import LOOK_S, ZONE_TIMEOUT_S, RightOfWay, taken
@@ -27,18 +27,13 @@ from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
 from scuhand_bt.events.cell import ArmFreed
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
+from scuhand_bt.motion import ApexPose, apex
 from scuhand_bt.motion.axes import of_arm, of_roller
-from scuhand_bt.motion.pouring import turned_back
 from scuhand_bt.record import Record
-from scuhand_bt.specs import BalanceBelief, BalanceFigure, Container, Powder, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, BalanceFigure, Container, PowderBelief, Source
 
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
-RIGHTED_MM_PER_S, RIGHTED_STEP_RAD = 100.0, math.radians(20.0)
-"""As it is poured: between two such steps the lip of a cone that is turned about it strays by some millimetres."""
-LOAD_STEP_MM3 = 2000.0
-LIMIT_STEP_DEG = 0.1
 RIM_DECIMALS = 6
 """Of a rim [mm] that is worked out of the roller's angle, so that rounding makes no other rim of it."""
 RECENT = 4000
@@ -149,10 +144,11 @@ class Cell:
         that others have waits for these. SkillFailed arm.no_path, arm.unreachable, arm.start_in_collision,
         arm.joint_limit, arm.zone_taken.
         """
-        yield from self._righted()
+        if (turning := upright_again(self)) is not None:
+            yield from self._follow(turning)
         while True:
             trajectory = yield from self._planned(
-                lambda planner: planner.move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
+                lambda planner: planner.move(self.arm.positions, place, spill_limit_deg=spill_limit_of(self))
             )
             try:
                 yield from self._follow(trajectory)
@@ -165,7 +161,7 @@ class Cell:
 
         SkillFailed as `move_to`.
         """
-        limit_deg = self._spill_limit_deg()
+        limit_deg = spill_limit_of(self)
         down = yield from self._planned(
             lambda planner: planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
         )
@@ -353,27 +349,8 @@ class Cell:
         The sheet may touch the mortar at `touching`. Into any other one only an arm that was limp has come unasked.
         """
         return self._planner().way_out(
-            self.arm.positions, self._spill_limit_deg(), touching, from_mortars=self.arm.was_limp
+            self.arm.positions, spill_limit_of(self), touching, from_mortars=self.arm.was_limp
         )
-
-    def _righted(self) -> Steps[None]:
-        """Turn a cone upright on the spot that leans more than its load is carried with: whatever slides has slid.
-
-        About its lip, so that what still falls does where it was poured, or else about its apex; where the arm can do
-        neither, nothing moves.
-        """
-        limit_deg, now = self._spill_limit_deg(), self.apex()
-        if limit_deg is None or now.tilt_deg <= limit_deg:
-            return
-        slant_mm = self.spec.hand.sheet_radius_mm
-        half_rad = math.radians(Cone(self.hand.cone_diameter_mm, slant_mm).half_angle_deg)
-        for way in (turned_back(now, RIGHTED_STEP_RAD, slant_mm / 1000, half_rad), [ApexPose(now.position_m)]):
-            with suppress(SkillFailed):
-                turning = self.contact(way, RIGHTED_MM_PER_S, None)
-                break
-        else:
-            return
-        yield from self._follow(turning)
 
     def zones_entered(self) -> frozenset[str]:
         """The zones of the cell that the arm is in."""
@@ -386,27 +363,3 @@ class Cell:
         yield from self.right_of_way.go()
         yield from self.in_the_way.followed(trajectory, self.arm.follow(trajectory))
         self.right_of_way.crossed()
-
-    def _spill_limit_deg(self) -> float | None:
-        """None for a cone that was seen to be empty: it may be tilted as the way demands."""
-        believed = self.believed
-        source = self.sources.get(believed.cone_source or "")
-        if source is None and believed.has_rest:
-            source = next((one for one in self.sources.values() if one.sheet_key == believed.sheet), None)
-        if source is None:
-            return None
-        return carrying_limit_deg(self.spec, source.powder, believed.cone_mg, self.hand.cone_diameter_mm)
-
-
-def carrying_limit_deg(spec: CellSpec, powder: Powder, load_mg: float, cone_diameter_mm: float) -> float:
-    """The spill angle within which a cone of this rim carries a load of a powder in this cell."""
-    cone = Cone(cone_diameter_mm, spec.hand.sheet_radius_mm)
-    load_mm3 = min(load_mg / powder.bulk_density_mg_per_mm3, 0.9 * cone.volume_mm3)
-    # In steps of load, so that the same few limits come again and their plans are known already; and one step at least,
-    # as nobody knows how much a rest is.
-    load_mm3 = max(1, math.ceil(load_mm3 / LOAD_STEP_MM3)) * LOAD_STEP_MM3
-    limit_deg = spill_limit_deg(
-        cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
-    )
-    # And the cone's measured size differs by what a servo's counts are worth.
-    return min(math.floor(limit_deg / LIMIT_STEP_DEG) * LIMIT_STEP_DEG, spec.arm.gentle_deg)

@@ -37,21 +37,18 @@ from scuhand_bt.motion.plan_store import PlanStore
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, forming_motion, reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
-from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.torque import Strain, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory, later, standing
 from scuhand_bt.motion.transfer import LIVE, Effort
-from scuhand_bt.motion.way_out import NoWayOutError, way_out
+from scuhand_bt.motion.way_out import way_out
 from scuhand_bt.specs import ContainerKind, Mortar
 
 SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
 STROKES_KEPT = 64
-
-BY_HAND = "hold the arm, switch its supply off and on, lead it clear by hand, and resume"
 
 
 class MotionPlanner:
@@ -275,18 +272,7 @@ class MotionPlanner:
         """
         begin, scene = checked_joints(start, self._limits_rad), self.scene(CLOSE_MARGIN_M, touching)
         kept_in = {SEEN, *self._geometry.closed, *(() if from_mortars else self._scenes.mortars)}
-        held = scene.touched(begin) & kept_in
-        failure = explain.start_in_collision(scene, begin)
-        try:
-            if held or not scene.hits(begin[None, :])[0]:
-                raise NoWayOutError(f"{', '.join(sorted(held))} is not left so" if held else "that is no collision")
-            motion = way_out(scene, begin, self.rates)
-        except NoWayOutError as error:
-            raise SkillFailed(failure.code, f"{failure.detail}; {error}; {BY_HAND}") from None
-        if spill_limit_deg is not None:
-            if spill_stretch(motion, self._mount, spill_limit_deg) != 1.0:
-                raise SkillFailed(failure.code, f"{failure.detail}; on the way out the load would spill; {BY_HAND}")
-            motion = motion.keeping(spill_limit_deg)
+        motion = way_out(scene, begin, self.rates, self._mount, kept_in, spill_limit_deg)
         return self._stoppable(motion), explain.closest_pair(scene, begin)
 
     def forming(

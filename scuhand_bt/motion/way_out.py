@@ -12,13 +12,16 @@ so that nothing that was free is touched in between either. No point of the arm 
 Configurations [rad] (n,), distances [m], times [s].
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from collections.abc import Set as AbstractSet
 
 import numpy as np
 
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.explain import closest_pair
-from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.explain import closest_pair, start_in_collision
+from scuhand_bt.motion.kinematics import Floats, Mount
+from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory, through
 
@@ -38,15 +41,46 @@ _PEAK = 1.875
 """Of s(x) = 10 x^3 - 15 x^4 + 6 x^5, its greatest slope."""
 
 
-class NoWayOutError(Exception):
+BY_HAND = "hold the arm, switch its supply off and on, lead it clear by hand, and resume"
+
+
+class _NoWayOutError(Exception):
     """Why there is none, in words."""
 
 
-def way_out(scene: Scene, begin: Floats, rates: RateLimits) -> JointTrajectory:
-    """From a configuration that is hit to one that is not, from rest to rest; NoWayOutError."""
+def way_out(
+    scene: Scene,
+    begin: Floats,
+    rates: RateLimits,
+    mount: Mount,
+    kept_in: Collection[str],
+    spill_limit_deg: float | None,
+) -> JointTrajectory:
+    """From a configuration that is hit to one that is not, from rest to rest; a load is kept within its spill angle.
+
+    SkillFailed arm.start_in_collision where there is none, or where it touches one of those that are not left so
+    (`kept_in`, the names of bodies).
+    """
+    try:
+        motion = _out(scene, begin, rates, scene.touched(begin) & set(kept_in))
+        if spill_limit_deg is None:
+            return motion
+        if spill_stretch(motion, mount, spill_limit_deg) != 1.0:
+            raise _NoWayOutError("on the way out the load would spill")
+        return motion.keeping(spill_limit_deg)
+    except _NoWayOutError as error:
+        failure = start_in_collision(scene, begin)
+        raise SkillFailed(failure.code, f"{failure.detail}; {error}; {BY_HAND}") from None
+
+
+def _out(scene: Scene, begin: Floats, rates: RateLimits, held: AbstractSet[str]) -> JointTrajectory:
+    if held:
+        raise _NoWayOutError(f"{', '.join(sorted(held))} is not left so")
+    if not scene.hits(begin[None, :])[0]:
+        raise _NoWayOutError("that is no collision")
     distances_m = scene.distances_m(begin)
     if distances_m.min() < -DEEPEST_M:
-        raise NoWayOutError(f"that is more than the {1e3 * DEEPEST_M:g} mm out of which a way is looked for")
+        raise _NoWayOutError(f"that is more than the {1e3 * DEEPEST_M:g} mm out of which a way is looked for")
     motion = _slowly(scene, np.array(_steps(scene, begin, distances_m)))
     motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
     _require_out(scene, motion)
@@ -68,7 +102,7 @@ def _steps(scene: Scene, begin: Floats, began_m: Floats) -> list[Floats]:
                 break
         else:
             break
-    raise NoWayOutError(f"no way out was found; after {len(path) - 1} steps {closest_pair(scene, path[-1])}")
+    raise _NoWayOutError(f"no way out was found; after {len(path) - 1} steps {closest_pair(scene, path[-1])}")
 
 
 def _directions(scene: Scene, q: Floats, now_m: Floats) -> Iterator[Floats]:
@@ -116,7 +150,7 @@ def _require_out(scene: Scene, motion: JointTrajectory) -> None:
     for q in samples[1:]:
         after_m = scene.distances_m(q)
         if not _gets_freer(began_m, now_m, after_m):
-            raise NoWayOutError(f"the way out would come near something else: {closest_pair(scene, q)}")
+            raise _NoWayOutError(f"the way out would come near something else: {closest_pair(scene, q)}")
         now_m = np.maximum(now_m, after_m)
     if scene.hits(samples[-1:])[0]:
-        raise NoWayOutError(f"no way out was found; at its end {closest_pair(scene, samples[-1])}")
+        raise _NoWayOutError(f"no way out was found; at its end {closest_pair(scene, samples[-1])}")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scuhand_bt.cell.cell import carrying_limit_deg
+from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.places import at_station, over_balance, over_mortar
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.lab import Lab

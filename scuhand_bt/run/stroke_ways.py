@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from scuhand_bt.cell.cell import carrying_limit_deg
+from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM

@@ -13,7 +13,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from scuhand_bt.bench_spec import Obstacle, Point, Station, turned
-from scuhand_bt.cell.cell import carrying_limit_deg
+from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
