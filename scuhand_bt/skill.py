@@ -115,6 +115,10 @@ __all__ = [
 R = TypeVar("R")
 
 
+BY_HAND_S = 60.0
+"""What a person takes to put a container on the pan, or to take it off."""
+
+
 @dataclass(frozen=True, slots=True)
 class Forecast:
     """What `plan` can say of an action before it runs."""
@@ -124,6 +128,11 @@ class Forecast:
     """What a person has to do, if one is needed."""
     descent: tuple[str, float] | None = None
     """A place that the cone comes straight down to, and from how many mm above it: found possible before a run."""
+
+    @classmethod
+    def of_change(cls, cell: CellSpec, typical_s: float, task: str) -> "Forecast":
+        """Of what changes the container on the pan: a changer takes `typical_s`, a person is told the `task`."""
+        return cls(BY_HAND_S, task) if cell.changer.driver == "operator" else cls(typical_s)
 
 
 class Skill(BaseModel, Generic[R]):

@@ -18,9 +18,8 @@ class DiscardContainer(Skill[None]):
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
-        by_hand = cell.changer.driver == "operator"
-        what = "take the container off the pan, and throw away what is in it"
-        return Forecast(60.0 if by_hand else cls.typical_s, what if by_hand else None)
+        task = "take the container off the pan, and throw away what is in it"
+        return Forecast.of_change(cell, cls.typical_s, task)
 
     def run(self, cell: Cell) -> Steps[None]:
         believed = cell.believed

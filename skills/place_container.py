@@ -34,13 +34,8 @@ class PlaceContainer(Skill[None]):
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
         container = inputs.get("container")
-        by_hand = cell.changer.driver == "operator"
-        what = (
-            f"put {container.name} '{container.id}' on the pan"
-            if isinstance(container, Container)
-            else "put a container"
-        )
-        return Forecast(60.0 if by_hand else cls.typical_s, what if by_hand else None)
+        what = f"{container.name} '{container.id}'" if isinstance(container, Container) else "a container"
+        return Forecast.of_change(cell, cls.typical_s, f"put {what} on the pan")
 
     def run(self, cell: Cell) -> Steps[None]:
         yield from cell.right_of_way.unshaken(self._change(cell))

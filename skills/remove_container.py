@@ -18,8 +18,7 @@ class RemoveContainer(Skill[None]):
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
-        by_hand = cell.changer.driver == "operator"
-        return Forecast(60.0 if by_hand else cls.typical_s, "take the container off the pan" if by_hand else None)
+        return Forecast.of_change(cell, cls.typical_s, "take the container off the pan")
 
     def run(self, cell: Cell) -> Steps[None]:
         yield from take_container_away(cell)

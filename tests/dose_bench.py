@@ -69,6 +69,20 @@ def shipped_powders() -> dict[str, Powder]:
     return {name: Powder.model_validate({"name": name, **values}) for name, values in read.items()}
 
 
+def dose_request(**changes: object) -> DoseRequest:
+    """500 mg ± 2 mg of a full cone, but for what is given."""
+    usual: dict[str, object] = {
+        "target_mg": 500.0,
+        "tolerance_mg": 2.0,
+        "gain": 0.3,
+        "max_opening_mm": 2.4,
+        "valve_speed_mm_per_s": 4.0,
+        "readability_mg": 0.1,
+        "cone_mg": 5000.0,
+    }
+    return DoseRequest(**(usual | changes))  # type: ignore[arg-type]
+
+
 class Bench:
     """One loaded cone above one dish; `dose` and `seed` choose the draws."""
 

@@ -1,24 +1,32 @@
-"""Dry runs for tests: a small lab, and sessions that share one planner per set of places."""
+"""Dry runs for tests: a small lab, sessions that share one planner per set of places, and a cell beside any run."""
 
 import functools
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, cast
 
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.record import Record
+from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.prepared_motion import places_of, prepared_motion
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
+from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.sim.world import World
+from scuhand_bt.specs import Source
 
 HEAD = """
 sources:
@@ -121,3 +129,25 @@ def _load(folder: Path) -> Lab:
 @functools.cache
 def _starter() -> Lab:
     return load_lab(starter_lab())
+
+
+def simulated_bench(
+    lab: Lab,
+    motion: MotionPlanner,
+    clock: VirtualClock,
+    sources: Mapping[str, Source] = MappingProxyType({}),
+    record: Record | None = None,
+) -> tuple[Cell, World]:
+    """A lab's simulated cell on a clock, its arm at home, without a run and without a person."""
+    cell, world = simulated_cell(
+        lab.cell,
+        sources,
+        clock=clock,
+        record=record or Record(),
+        motion=motion,
+        operator=cast(Operator, None),
+        seed=1,
+        joints=motion.home(),
+    )
+    clock.process = world
+    return cell, world

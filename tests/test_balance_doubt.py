@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 from conftest import read
 from daily import first_daily
+from dose_bench import dose_request
 from running import Ran, dry_run, make_lab
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.device_specs.balance import BalanceSpec
-from scuhand_bt.dosing import DoseRequest, Finish, Observation, Weigh, new_controller
+from scuhand_bt.dosing import Finish, Observation, Weigh, new_controller
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.specs import BalanceBelief
@@ -114,16 +115,7 @@ def test_a_sound_balance_is_not_doubted(tmp_path: Path) -> None:
 
 def test_a_weighing_that_contradicts_the_readings_is_told_and_taken_again() -> None:
     """Readings that stop 20 mg short of what is weighed then."""
-    request = DoseRequest(
-        target_mg=500.0,
-        tolerance_mg=2.0,
-        gain=0.3,
-        max_opening_mm=2.4,
-        valve_speed_mm_per_s=4.0,
-        readability_mg=0.1,
-        cone_mg=5000.0,
-        balance=BalanceBelief(lag_s=0.1, doubt=0.1, fits=1),
-    )
+    request = dose_request(balance=BalanceBelief(lag_s=0.1, doubt=0.1, fits=1))
     controller = new_controller("adaptive", request)
     command, time_s, weighings = controller.decide(None), 0.0, 0
     while not isinstance(command, Finish):

@@ -331,27 +331,24 @@ def test_a_load_that_gives_more_than_it_should_holds_some_more_until_it_gives_ou
 
 
 @pytest.mark.parametrize(
-    ("came_mg", "told"), [(1900.0, 1900.0 / 0.85 / 4000.0), (2100.0, 1.0), (4300.0, 4300.0 / 4000.0)]
+    ("came_mg", "told", "is_seen"),
+    [
+        (1900.0, 1900.0 / 0.85 / 4000.0, True),  # a poor scoop
+        (2100.0, 1.0, True),
+        (4300.0, 4300.0 / 4000.0, True),
+        (4900.0, 4900.0 / 4000.0, False),  # more than was thought: only its end tells how much
+        (5100.0, 5100.0 / 0.85 / 4000.0, False),
+    ],
 )
-def test_a_load_whose_rest_comes_only_shaken_tells_a_poor_scoop_where_that_began_before_half_of_it(
-    came_mg: float, told: float
-) -> None:
-    believed = Believed()
-    believed.scooped(BEADS, 4000.0)
-    believed.dosing_ended(came_mg, 0.0)
-    believed.rest_left()
-    assert believed.seen_yields == {"beads": pytest.approx(told)}
-
-
-@pytest.mark.parametrize(("came_mg", "told"), [(4900.0, 4900.0 / 4000.0), (5100.0, 5100.0 / 0.85 / 4000.0)])
-def test_the_rest_of_a_load_of_which_far_more_came_than_was_thought_tells_how_large_it_was(
-    came_mg: float, told: float
+def test_when_the_rest_of_a_load_begins_to_come_only_shaken_tells_a_poor_scoop_and_a_far_larger_one(
+    came_mg: float, told: float, is_seen: bool
 ) -> None:
     believed = Believed()
     believed.scooped(BEADS, 4000.0)
     believed.dosing_ended(came_mg, 0.0)
     believed.rest_left()
     assert believed.yields == {"beads": pytest.approx(told)}
+    assert ("beads" in believed.seen_yields) == is_seen
 
 
 @pytest.mark.parametrize(
@@ -379,6 +376,7 @@ def test_a_load_beyond_what_the_cone_may_carry_was_larger_by_its_rest_besides(
         (100.0, {}, 4000.0),  # a drop that hung: it is what it was thought to be
         (300.0, {"beads": 0.1 + 0.4 / 3}, 2700.0 / (1.0 - 0.1 - 0.4 / 3)),  # more would have come
         (1200.0, {"beads": 0.4 + 0.1 / 3}, 1800.0 / (1.0 - 0.4 - 0.1 / 3)),
+        (1500.0, {"beads": 0.5}, 3000.0),  # as much as a rest may be
         (1600.0, {}, None),  # it bridges
     ],
 )
@@ -674,6 +672,25 @@ def test_what_arrived_since_the_valve_opened_has_left_the_cone_and_is_in_the_con
     assert believed.bracket is not None
     assert believed.bracket.dosed_mg(BEADS.sheet_key) == Net(30.0, 0.2)
     assert believed.bracket.last == weighed(20_040.5, 20.0)
+    assert believed.bracket.drift == Drift(0.0, 0.0), "nobody has watched the zero"
+
+
+@pytest.mark.parametrize(
+    ("drift", "drifted"),
+    [
+        (Drift(0.02, 0.005), Net(0.4, 0.1)),
+        (Drift(0.0, 0.005, is_doubted=True), Net(0.0, 0.1)),
+        (Drift(0.0, 0.005), Net(0.0, 0.0)),
+    ],
+)
+def test_what_a_drift_that_was_seen_or_doubted_may_have_made_of_a_dose_stays_its_doubt(
+    drift: Drift, drifted: Net
+) -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5, 10.0))
+    believed.dosed(Net(20.0, 0.3), drift, weighed(20_030.5, 30.0), 3, 1.5)
+    assert believed.bracket is not None
+    assert believed.bracket.drifted == {BEADS.sheet_key: drifted}
 
 
 def test_a_zero_that_moved_takes_every_weighing_with_it_and_no_dose() -> None:

@@ -1,20 +1,18 @@
 """What the arm keeps clear with follows from the hand and the pan: a skill that only morphs has told everything."""
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
+from running import simulated_bench
 
 from scuhand_bt.clock import Steps
-from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.motion import ApexPose
-from scuhand_bt.record import Record
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
-from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.specs import Container
 
 BY_THE_SHIELD = ApexPose(np.array([0.330, 0.0535, 0.130]))
@@ -29,17 +27,7 @@ class Bench:
     def __init__(self, lab: Lab) -> None:
         motion = lab.motion_planner({"mortar_bay": lab.library.mortars["agate_mortar"]})
         self.clock = VirtualClock()
-        self.cell, world = simulated_cell(
-            lab.cell,
-            {},
-            clock=self.clock,
-            record=Record(),
-            motion=motion,
-            operator=cast(Operator, None),
-            seed=1,
-            joints=motion.home(),
-        )
-        self.clock.process = world
+        self.cell, _ = simulated_bench(lab, motion, self.clock)
         motion.add_place("low", LOW_OVER_THE_PAN)
         kind = lab.library.containers["alumina_crucible"]
         self.crucible = Container.model_construct(**{**kind.__dict__, "id": "c1"})

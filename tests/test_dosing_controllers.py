@@ -3,7 +3,7 @@ from collections import deque
 
 import numpy as np
 import pytest
-from dose_bench import Bench, Setting, shipped_powders
+from dose_bench import Bench, Setting, dose_request, shipped_powders
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,7 +11,7 @@ from scuhand_bt.cell.dose_loop import run_dose
 from scuhand_bt.clock import Wake
 from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
-from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Stream, Weigh, new_controller
+from scuhand_bt.dosing import CONTROLLERS, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
 from scuhand_bt.dosing.identification import STEP_DOUBT
 from scuhand_bt.dosing.pulses import within
@@ -31,26 +31,13 @@ def against(gross_mg: float) -> Reference:
     return Reference(Gross(gross_mg, 0.0, 0.0), Drift(0.0, 0.0), Net(0.0, 0.0), 0.1)
 
 
-def request(**changes: object) -> DoseRequest:
-    values: dict[str, object] = {
-        "target_mg": 50.0,
-        "tolerance_mg": 2.0,
-        "gain": 0.3,
-        "max_opening_mm": 2.4,
-        "valve_speed_mm_per_s": 4.0,
-        "readability_mg": 0.1,
-        "cone_mg": 5000.0,
-    }
-    return DoseRequest(**(values | changes))  # type: ignore[arg-type]
-
-
 def settled(net_mg: float, time_s: float = 0.0) -> Observation:
     return Observation(time_s, net_mg, 0.05, True)
 
 
 def test_an_unknown_controller_is_named_with_the_known_ones() -> None:
     with pytest.raises(ValueError, match="'fuzzy'; there are adaptive, paper, direct_pid"):
-        new_controller("fuzzy", request())
+        new_controller("fuzzy", dose_request(target_mg=50.0))
 
 
 @given(st.floats(0.0, 5000.0), st.floats(0.03, 12.0))
@@ -233,7 +220,7 @@ def test_a_load_that_flows_is_dosed_from_to_the_end(seed: int) -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(-500.0, 5000.0), min_size=40, max_size=40), st.booleans())
 def test_adaptive_survives_any_readings_and_keeps_its_commands_possible(readings: list[float], streams: bool) -> None:
-    controller = new_controller("adaptive", request(streaming=streams))
+    controller = new_controller("adaptive", dose_request(target_mg=50.0, streaming=streams))
     command, time_s = controller.decide(None), 0.0
     for net_mg in readings:
         if isinstance(command, Finish):
@@ -290,7 +277,7 @@ def test_beliefs_survive_being_written_and_read() -> None:
 
 @pytest.mark.parametrize("streams", [True, False])
 def test_adaptive_adds_nothing_to_a_container_that_already_holds_its_dose(streams: bool) -> None:
-    controller = new_controller("adaptive", request(streaming=streams))
+    controller = new_controller("adaptive", dose_request(target_mg=50.0, streaming=streams))
     command, time_s = controller.decide(None), 0.0
     while not isinstance(command, Finish):
         assert not isinstance(command, Pulse)

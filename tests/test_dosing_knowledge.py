@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Generator, Iterator
 
 import pytest
-from dose_bench import shipped_powders
+from dose_bench import dose_request, shipped_powders
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,18 +23,7 @@ PERIOD_S = 0.1
 
 
 def request(**changes: object) -> DoseRequest:
-    values: dict[str, object] = {
-        "target_mg": 500.0,
-        "tolerance_mg": 2.0,
-        "gain": 0.3,
-        "max_opening_mm": 2.4,
-        "valve_speed_mm_per_s": 4.0,
-        "readability_mg": 0.1,
-        "cone_mg": 5000.0,
-        "powder": BEADS.model_copy(update={"doses": 3}),
-        "balance": QUICK,
-    }
-    return DoseRequest(**(values | changes))  # type: ignore[arg-type]
+    return dose_request(**({"powder": BEADS.model_copy(update={"doses": 3}), "balance": QUICK} | changes))
 
 
 class Scale:

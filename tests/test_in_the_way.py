@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from running import dry_run, make_lab
+from running import dry_run, make_lab, simulated_bench
 
 from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.in_the_way import TIMEOUT_S
@@ -13,7 +13,6 @@ from scuhand_bt.cell.places import all_places
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.connect import connect_cell_devices
 from scuhand_bt.devices.instruments import Watcher
-from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.events.cell import ArmFreed, WayObstructed
 from scuhand_bt.events.entry import SkillEvent
 from scuhand_bt.failures import SkillFailed
@@ -23,7 +22,6 @@ from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.record import Record
 from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.sim.cell import simulated_cell
 
 AT_MOST_S = 300.0
 OVER_THE_MORTAR = "{at: [190 mm, 240 mm, 180 mm], box: [100 mm, 100 mm, 300 mm]"
@@ -54,17 +52,7 @@ class Bench:
             self.motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
         over = (*lab.cell.stations["mortar_bay"].position_mm[:2], 120.0)
         self.motion.add_place("mortar_bay", ApexPose(np.array(over) / 1000))
-        self.cell, world = simulated_cell(
-            lab.cell,
-            {},
-            clock=self.clock,
-            record=Record(self.events.append),
-            motion=self.motion,
-            operator=cast(Operator, None),
-            seed=1,
-            joints=self.motion.home(),
-        )
-        self.clock.process = world
+        self.cell, _ = simulated_bench(lab, self.motion, self.clock, record=Record(self.events.append))
         self.went: list[tuple[float, bool, Any]] = []
 
     def do(self, steps: Steps[Any]) -> None:

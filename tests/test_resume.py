@@ -4,6 +4,7 @@ import fcntl
 import random
 import sqlite3
 import threading
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any, ClassVar
@@ -72,7 +73,15 @@ class Run:
     def journal(self) -> Path:
         return find_run(self.folder, "last")
 
-    def go(self, watch: Watch, *, resumes: bool = False, accept_changes: bool = False, **options: Any) -> Any:
+    def go(
+        self,
+        watch: Watch,
+        *,
+        resumes: bool = False,
+        accept_changes: bool = False,
+        heard: Callable[[Event | Note], None] | None = None,
+        **options: Any,
+    ) -> Any:
         plan, lab = self.plan()
         found = None
         if resumes:
@@ -80,6 +89,8 @@ class Run:
             found = resumable(self.journal, history, plan, lab, accept_changes=accept_changes)
         chosen = Options(**{"simulation": DryRun(), "folder": self.folder, **options})
         session = Session(plan, lab, chosen, shared_planner(plan, lab), resumes=found)
+        if heard is not None:
+            session.journal.heard = heard
         watch.session = session
         try:
             return session.run(watch)
@@ -230,15 +241,7 @@ def test_a_paused_action_is_settled_and_begun_again(run: Run) -> None:
             watch.session.control.wish("continue")
 
     watch = Watch("pause_now", 60)
-    plan, lab = run.plan()
-    session = Session(plan, lab, Options(DryRun(), folder=run.folder), shared_planner(plan, lab))
-    session.journal.heard = when_paused
-    watch.session = session
-    try:
-        result = session.run(watch)
-    finally:
-        session.close()
-    assert result.exit_code == 0
+    assert run.go(watch, heard=when_paused).exit_code == 0
     kinds = [event["kind"] for event in read(run.journal, "event")]
     assert kinds.index("paused") < kinds.index("continued")
     assert "interrupted" in [outcome for _, outcome in actions(run.journal)]
@@ -253,14 +256,7 @@ def test_a_pause_begins_no_action_and_halts_none(run: Run) -> None:
             watch.session.control.wish("continue")
 
     watch = Watch("pause", 60)
-    plan, lab = run.plan()
-    session = Session(plan, lab, Options(DryRun(), folder=run.folder), shared_planner(plan, lab))
-    session.journal.heard = when_paused
-    watch.session = session
-    try:
-        assert session.run(watch).exit_code == 0
-    finally:
-        session.close()
+    assert run.go(watch, heard=when_paused).exit_code == 0
     assert seen
     assert set(seen) <= {"done", "failed"}
 

@@ -4,11 +4,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
-from running import make_lab, shared_planner
+from running import make_lab, shared_planner, simulated_bench
 
 from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.believed_powder import InVessel
@@ -16,20 +16,17 @@ from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, places
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
-from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.specs import Container, Source
 from scuhand_bt.tree.leases import Leases
@@ -58,17 +55,7 @@ class Bench:
 
     def __init__(self, lab: Lab, motion: MotionPlanner, sources: Mapping[str, Source] = {}) -> None:
         self.clock = VirtualClock()
-        self.cell, self.world = simulated_cell(
-            lab.cell,
-            sources,
-            clock=self.clock,
-            record=Record(),
-            motion=motion,
-            operator=cast(Operator, None),
-            seed=1,
-            joints=motion.home(),
-        )
-        self.clock.process = self.world
+        self.cell, self.world = simulated_bench(lab, motion, self.clock, sources)
         self.way = self.cell.right_of_way
         self.way.commands["arm"] = ARM
         self.over = over_balance(lab.cell, lab.library.containers["xrd_holder"])[0]

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -11,6 +10,7 @@ from rich.text import Text
 from scuhand_bt.cli.run import (
     DashboardFlag,
     EventsOption,
+    ExportOption,
     GrootOption,
     QuietFlag,
     VerboseFlag,
@@ -57,7 +57,7 @@ def resume(
     events: EventsOption = None,
     quiet: QuietFlag = False,
     verbose: VerboseFlag = False,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
+    json_file: ExportOption = None,
     lab: LabOption = None,
 ) -> None:
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""

@@ -52,6 +52,7 @@ EventsOption = Annotated[
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Tell only what it came to.")]
 SLOWEST = 0.05
 """Of a cell's speeds: below, a move would last minutes."""
+ExportOption = Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")]
 VerboseFlag = Annotated[bool, typer.Option("--verbose", help="Tell every action, line by line.")]
 
 
@@ -81,7 +82,7 @@ def run(
     events: EventsOption = None,
     quiet: QuietFlag = False,
     verbose: VerboseFlag = False,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
+    json_file: ExportOption = None,
     lab: LabOption = None,
 ) -> None:
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
