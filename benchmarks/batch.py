@@ -19,7 +19,6 @@ from statistics import quantiles
 from py_trees.behaviour import Behaviour
 
 from benchmarks.figures import show
-from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import Job, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
@@ -63,13 +62,9 @@ class TickTimes(BatchObserver):
     def __init__(self) -> None:
         self.ticks_us: dict[int, list[float]] = defaultdict(list)
         self.job = 0
-        self.verdicts: dict[str, int] = defaultdict(int)
 
     def job_started(self, job: Job, number: int) -> None:
         self.job = number
-
-    def sample_ended(self, result: SampleResult) -> None:
-        self.verdicts[result.verdict] += 1
 
     def timing(self, tick: Callable[[Behaviour], None]) -> Callable[[Behaviour], None]:
         def timed(root: Behaviour) -> None:
@@ -100,7 +95,7 @@ def big_run(recipe: Path, folder: Path, controller: str | None) -> dict[str, flo
     return {
         "wall_s": wall_s,
         "exit_code": result.exit_code,
-        "in_tolerance": times.verdicts["in tolerance"],
+        "in_tolerance": sum(sample.verdict == "in tolerance" for sample in result.samples),
         "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "tick_us_at_10": head_us,
         "tick_us_at_end": tail_us,
