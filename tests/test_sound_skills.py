@@ -36,9 +36,9 @@ def looked_through(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
     look = load._looked_through
 
-    def counted(skill, folder: Path, path: Path, *given):
+    def counted(skill, path: Path, *given):
         names.append(path.stem)
-        return look(skill, folder, path, *given)
+        return look(skill, path, *given)
 
     monkeypatch.setattr(load, "_looked_through", counted)
     monkeypatch.setattr(load, "_SOUND", {})

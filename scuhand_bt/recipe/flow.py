@@ -12,17 +12,18 @@ powder names the source of that powder.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, get_args
 
 from scuhand_bt.events.doses import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.recipe.known import Names, Ranges, is_known, known
-from scuhand_bt.skill import Condition, SkillFailed
+from scuhand_bt.skill import Condition, Skill, SkillFailed
 from scuhand_bt.specs import Container, Keeping, Powder, Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range
-from scuhand_bt.tree.library import Library, Percent, resolve_percent
+from scuhand_bt.tree.library import Library, Percent, parameters_of, resolve_percent
 from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode
 from scuhand_bt.yaml_source import Node
 
@@ -283,7 +284,7 @@ class _Follower:
             reached = replace(reached, leaves=frozenset({None}))
         if skill.empties_cone:
             reached = replace(reached, leaves=self._kept_by(node, given))
-        target = self._target_of(node.name)
+        target = _target_of(skill)
         if not DOSING.issubset(skill.devices) or target is None:
             return reached
         defaults = {info.alias or name: info.default for name, info in skill.model_fields.items()}
@@ -352,12 +353,6 @@ class _Follower:
             what = f"how much '{at.name}' takes from one of several sources cannot be told before the run"
             self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
 
-    def _target_of(self, name: str) -> str | None:
-        """What a dosing skill is asked for: its `mass`, else the only mass that it must be given."""
-        parameters = self._library.parameters(name)
-        masses = [key for key, p in parameters.items() if p.wire.name == "Mass" and (p.required or key == TARGET)]
-        return TARGET if TARGET in masses else masses[0] if len(masses) == 1 else None
-
     def _lot(self, source: str | None) -> str | None:
         return self.sources[source].sheet_key if source else source
 
@@ -368,6 +363,14 @@ class _Follower:
             if self.is_mixed and source not in dosed:
                 what = f"how much '{at.name}' takes from one of several sources cannot be told before the run"
                 self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
+
+
+@cache
+def _target_of(skill: type[Skill[Any]]) -> str | None:
+    """What a dosing skill is asked for: its `mass`, else the only mass that it must be given."""
+    parameters = parameters_of(skill).items()
+    masses = [key for key, one in parameters if one.wire.name == "Mass" and (one.required or key == TARGET)]
+    return TARGET if TARGET in masses else masses[0] if len(masses) == 1 else None
 
 
 TOLD_BEFORE = "dispense a mass that is written, an input of the workflow, or one with a bound: min(…, 100 mg)"

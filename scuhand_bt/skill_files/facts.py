@@ -8,7 +8,7 @@ import ast
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from scuhand_bt.failures import CATALOGUE, Code, SkillFailed
 from scuhand_bt.problems import Mark
@@ -26,6 +26,14 @@ OF_DEVICE = {
 """The codes that a device, or what the engine does with it, fails with."""
 OF_RUNS = (Code.HAND_LEAK, Code.DOSE_RUNAWAY, Code.DOSE_OVERSHOOTS, Code.BALANCE_BRACKET_OPEN)
 """What ends a run, or is told of a sample when its job is over: no workflow and no policy meets it."""
+
+
+class Syntax(NamedTuple):
+    """What a Python file is to `ast`."""
+
+    tree: ast.Module
+    nodes: list[ast.AST]
+    """All of them, as `ast.walk` has them: it takes longer than what looks at them."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +54,9 @@ class SkillFacts:
     """It goes to the place over a container (`over_balance`)."""
 
 
-def facts_of(skill: type[Skill[Any]], tree: ast.Module, shared: Iterable[str]) -> SkillFacts:
+def facts_of(skill: type[Skill[Any]], syntax: Syntax, shared: Iterable[str]) -> SkillFacts:
     """The facts of a skill by its file; `shared` are the codes of the files that skills of this lab share."""
-    nodes = list(ast.walk(tree))
+    nodes = syntax.nodes
     calls = [node for node in nodes if isinstance(node, ast.Call)]
     methods = {node.func.attr for node in calls if isinstance(node.func, ast.Attribute)}
     uses_shared = any(isinstance(node, ast.ImportFrom) and node.level for node in nodes)
@@ -56,7 +64,7 @@ def facts_of(skill: type[Skill[Any]], tree: ast.Module, shared: Iterable[str]) -
     asked = [node.args for node in calls if isinstance(node.func, ast.Attribute)]
     in_turn = [node.elts[-1:] for node in nodes if isinstance(node, ast.Tuple)]
     return SkillFacts(
-        raised=frozenset({*raised_codes(tree, ""), *skill.raises, *skill.failures, *(shared if uses_shared else ())}),
+        raised=frozenset({*raised_codes(syntax, ""), *skill.raises, *skill.failures, *(shared if uses_shared else ())}),
         tares="tared" in methods,
         parks=any(isinstance(one, ast.Constant) and one.value == PARK for each in (*asked, *in_turn) for one in each),
         asks="ask" in methods,
@@ -80,13 +88,13 @@ def codes_of(skill: type[Skill[Any]], facts: SkillFacts | None) -> frozenset[str
     return own | engine | within | {Code.WORKFLOW_BAD_VALUE}
 
 
-def raised_codes(tree: ast.Module, file: str) -> Mapping[str, Mark]:
+def raised_codes(syntax: Syntax, file: str) -> Mapping[str, Mark]:
     """The failure codes that a lab's file raises, and where; those put together at run time are not seen.
 
     `Code.X` that there is not stands as it is written.
     """
     codes: dict[str, Mark] = {}
-    for node in ast.walk(tree):
+    for node in syntax.nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == SkillFailed.__name__:
             code = node.args[0] if node.args else None
             if isinstance(code, ast.Constant) and isinstance(code.value, str):
@@ -97,6 +105,7 @@ def raised_codes(tree: ast.Module, file: str) -> Mapping[str, Mark]:
     return codes
 
 
-def parsed(path: Path) -> ast.Module:
-    """A Python file's syntax tree; SyntaxError or ValueError where it is none."""
-    return ast.parse(path.read_text(encoding="utf-8-sig"))
+def parsed(path: Path) -> Syntax:
+    """A Python file's syntax; SyntaxError or ValueError where it has none."""
+    tree = ast.parse(path.read_text(encoding="utf-8-sig"))
+    return Syntax(tree, list(ast.walk(tree)))

@@ -21,7 +21,7 @@ from typing import Any
 from scuhand_bt.failures import CATALOGUE, Failure
 from scuhand_bt.problems import Broken, Mark, Problem, Problems, shorten
 from scuhand_bt.skill import Condition, Skill
-from scuhand_bt.skill_files.facts import SkillFacts, facts_of, parsed, raised_codes
+from scuhand_bt.skill_files.facts import SkillFacts, Syntax, facts_of, parsed, raised_codes
 from scuhand_bt.skill_files.source_check import check_shared, check_source
 
 PACKAGE = "scuhand_lab"
@@ -57,8 +57,8 @@ def load_skills(
         of_file = Problems()
         skill, facts = _load(path, of_file), _SOUND.get(text)
         if skill is not None and facts is None:
-            facts = _looked_through(skill, folder, path, devices, shared, of_file)
-            if facts is not None and not of_file.found and shared.stands_alone and _stands_alone(parsed(path)):
+            facts, stands_alone = _looked_through(skill, path, devices, shared, of_file)
+            if facts is not None and not of_file.found and shared.stands_alone and stands_alone:
                 _keep_sound(text, facts)
         if facts is not None:
             loaded.facts[path.stem] = facts
@@ -75,47 +75,57 @@ class _Shared:
 
     def __init__(self, paths: list[Path]) -> None:
         self.paths = paths
+        self._problems: dict[str, list[Problem]] = {}
 
     @cached_property
     def codes(self) -> set[str]:
         """What they raise."""
-        return {code for tree in self._trees for code in raised_codes(tree, "")}
+        return {code for syntax in self._read.values() for code in raised_codes(syntax, "")}
 
     @cached_property
     def stands_alone(self) -> bool:
-        return all(map(_stands_alone, self._trees))
+        return all(map(_stands_alone, self._read.values()))
+
+    def problems_of(self, name: str) -> list[Problem]:
+        """What is wrong with one, once a skill has imported it."""
+        module, syntax = sys.modules.get(f"{PACKAGE}.skills.{name}"), self._read.get(name)
+        if module is None or syntax is None:
+            return []
+        if name not in self._problems:
+            path = next(path for path in self.paths if path.stem == name)
+            self._problems[name] = check_shared(syntax, module, str(path)).found
+        return self._problems[name]
 
     @cached_property
-    def _trees(self) -> list[ast.Module]:
-        found = []
+    def _read(self) -> dict[str, Syntax]:
+        found = {}
         for path in self.paths:
             with suppress(SyntaxError, ValueError, OSError):  # said of each skill that imports it
-                found.append(parsed(path))
+                found[path.stem] = parsed(path)
         return found
 
 
 def _looked_through(
     skill: type[Skill[Any]],
-    folder: Path,
     path: Path,
     devices: Collection[str],
     shared: _Shared,
     problems: Problems,
-) -> SkillFacts | None:
-    """What a skill's file says of it; None where its class is wrong, and the text is not looked at."""
+) -> tuple[SkillFacts | None, bool]:
+    """What a skill's file says of it, and whether it stands alone; nothing of one whose class is wrong."""
     _check_class(skill, Mark(str(path), inspect.findsource(skill)[1] + 1), devices, problems)
     if problems.errors:
-        return None
-    tree = parsed(path)
-    problems.found += check_source(skill, tree, sys.modules[f"{PACKAGE}.skills.{path.stem}"], str(path)).found
-    _check_codes(skill, raised_codes(tree, str(path)), problems)
-    problems.found += [problem for name in _shared_by(tree) for problem in _shared_problems(folder, name)]
-    return facts_of(skill, tree, shared.codes)
+        return None, False
+    syntax = parsed(path)
+    problems.found += check_source(skill, syntax, sys.modules[f"{PACKAGE}.skills.{path.stem}"], str(path)).found
+    _check_codes(skill, raised_codes(syntax, str(path)), problems)
+    problems.found += [problem for name in _shared_by(syntax) for problem in shared.problems_of(name)]
+    return facts_of(skill, syntax, shared.codes), _stands_alone(syntax)
 
 
-def _stands_alone(tree: ast.Module) -> bool:
+def _stands_alone(syntax: Syntax) -> bool:
     """Whether a file has nothing of its lab but what is shared."""
-    relative = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level]
+    relative = [node for node in syntax.nodes if isinstance(node, ast.ImportFrom) and node.level]
     return all(node.level == 1 and (node.module or "").startswith("_") for node in relative)
 
 
@@ -125,18 +135,11 @@ def _keep_sound(text: _Text, facts: SkillFacts) -> None:
         del _SOUND[next(iter(_SOUND))]
 
 
-def _shared_by(tree: ast.Module) -> Iterator[str]:
+def _shared_by(syntax: Syntax) -> Iterator[str]:
     """The files beside it that a skill imports from."""
-    for node in ast.walk(tree):
+    for node in syntax.nodes:
         if isinstance(node, ast.ImportFrom) and node.level == 1 and node.module is not None:
             yield node.module
-
-
-def _shared_problems(folder: Path, name: str) -> list[Problem]:
-    path, module = folder / "skills" / f"{name}.py", sys.modules.get(f"{PACKAGE}.skills.{name}")
-    if module is None or not name.startswith("_") or not path.is_file():
-        return []
-    return check_shared(parsed(path), module, str(path)).found
 
 
 def _load(path: Path, problems: Problems) -> type[Skill[Any]] | None:

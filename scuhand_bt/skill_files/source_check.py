@@ -18,30 +18,32 @@ from scuhand_bt.cell.leased import of_arm
 from scuhand_bt.cell_spec import DEVICES
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, Skill
+from scuhand_bt.skill_files.facts import Syntax
 from scuhand_bt.skill_files.names import CLOCKS, Function, Names, fields_of, has_member
 
 RESUMING = "settle"
 """The method that has the arm and the balance, too: by them an interrupted action is taken up."""
+_OF_ITS_OWN = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)
 
 
-def check_source(skill: type[Skill[Any]], tree: ast.Module, module: types.ModuleType, file: str) -> Problems:
+def check_source(skill: type[Skill[Any]], syntax: Syntax, module: types.ModuleType, file: str) -> Problems:
     """All that can be told of a skill by the text of its file."""
     problems = Problems()
-    body = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == skill.__name__)
-    _check_functions(tree, module, set(skill.sees()), problems, file, skill, body)
+    body = next(node for node in syntax.tree.body if isinstance(node, ast.ClassDef) and node.name == skill.__name__)
+    _check_functions(syntax, module, set(skill.sees()), problems, file, skill, body)
     _check_body(skill, body, problems, file)
     return problems
 
 
-def check_shared(tree: ast.Module, module: types.ModuleType, file: str) -> Problems:
+def check_shared(syntax: Syntax, module: types.ModuleType, file: str) -> Problems:
     """The same of a file that skills share: which devices are leased is its callers' to say."""
     problems = Problems()
-    _check_functions(tree, module, None, problems, file)
+    _check_functions(syntax, module, None, problems, file)
     return problems
 
 
 def _check_functions(
-    tree: ast.Module,
+    syntax: Syntax,
     module: types.ModuleType,
     leased: set[str] | None,
     problems: Problems,
@@ -49,8 +51,9 @@ def _check_functions(
     skill: type[Skill[Any]] | None = None,
     body: ast.ClassDef | None = None,
 ) -> None:
-    generators = {node.name for node in ast.walk(tree) if isinstance(node, Function) and _yields(node)}
-    for function in (node for node in ast.walk(tree) if isinstance(node, Function)):
+    functions = [node for node in syntax.nodes if isinstance(node, Function)]
+    generators = {function.name for function in functions if _yields(function)}
+    for function in functions:
         own = leased if leased is None else leased | ({"arm", "balance"} if function.name == RESUMING else set())
         of_skill = skill if body is not None and function in body.body and _has_self(function) else None
         _FunctionCheck(function, vars(module), generators, own, problems, file, of_skill).check()
@@ -265,10 +268,12 @@ def _why_no_default(info: FieldInfo) -> str | None:
 
 def _within(function: ast.AST) -> Iterator[ast.AST]:
     """All below a node, in the order of the file; not what is in functions of its own."""
-    for child in ast.iter_child_nodes(function):
-        if not isinstance(child, Function | ast.Lambda | ast.ClassDef):
-            yield child
-            yield from _within(child)
+    ahead = [*ast.iter_child_nodes(function)][::-1]
+    while ahead:
+        node = ahead.pop()
+        if not isinstance(node, _OF_ITS_OWN):
+            yield node
+            ahead += [*ast.iter_child_nodes(node)][::-1]
 
 
 def _with(node: ast.AST) -> Iterator[ast.AST]:

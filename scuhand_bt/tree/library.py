@@ -50,7 +50,9 @@ class Library:
         """The types of what a call of a checked workflow can be given."""
         if call.name == RECORD:
             return self.recorded.get(call.mark, {})
-        return {key: parameter.wire for key, parameter in self.parameters(call.name).items()}
+        if call.name in self.skills:
+            return _wires_of(self.skills[call.name])
+        return {key: declared.type for key, declared in self.workflows[call.name].inputs.items()}
 
     def failures(self) -> Mapping[str, Failure]:
         """The catalogue with the lab's own codes."""
@@ -62,17 +64,23 @@ class Library:
     def parameters(self, name: str) -> Mapping[str, Parameter]:
         """What the skill or workflow `name` takes."""
         if name in self.skills:
-            return _parameters_of(self.skills[name])
+            return parameters_of(self.skills[name])
         inputs = self.workflows[name].inputs
         return {key: Parameter(declared.type, declared.default is None) for key, declared in inputs.items()}
 
 
 @cache
-def _parameters_of(skill: type[Skill[Any]]) -> Mapping[str, Parameter]:
+def parameters_of(skill: type[Skill[Any]]) -> Mapping[str, Parameter]:
+    """What a skill takes."""
     return {
         info.alias or field_name: Parameter(of_field(info.annotation, info.metadata), info.is_required())
         for field_name, info in skill.model_fields.items()
     }
+
+
+@cache
+def _wires_of(skill: type[Skill[Any]]) -> Mapping[str, WireType]:
+    return {key: parameter.wire for key, parameter in parameters_of(skill).items()}
 
 
 @dataclass(frozen=True)

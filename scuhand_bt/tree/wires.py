@@ -9,6 +9,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from pydantic import AllowInfNan, BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
@@ -48,9 +49,13 @@ class WireType:
     def read(self, value: Any) -> Any:
         """A literal (str, None, list, dict from YAML) as a value; ValueError says what is wrong with it."""
         try:
-            return _adapter(self.name, self.python).validate_python(value)
+            return self._adapter.validate_python(value)
         except ValidationError as error:
             raise ValueError(in_words(error)) from None
+
+    @cached_property
+    def _adapter(self) -> TypeAdapter[Any]:
+        return TypeAdapter(self.python)
 
 
 def in_words(error: ValidationError) -> str:
@@ -60,16 +65,6 @@ def in_words(error: ValidationError) -> str:
         name = ".".join(map(str, item["loc"]))
         found.append((f"'{name}': " if name else "") + refusal(item))
     return "; ".join(found)
-
-
-_ADAPTERS: dict[Any, TypeAdapter[Any]] = {}
-
-
-def _adapter(name: str, python: Any) -> TypeAdapter[Any]:
-    key = (name, str(python))
-    if key not in _ADAPTERS:
-        _ADAPTERS[key] = TypeAdapter(python)
-    return _ADAPTERS[key]
 
 
 QUANTITIES = {
