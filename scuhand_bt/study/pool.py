@@ -44,8 +44,8 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
             problem = f"one of {many} processes was killed, as for want of memory: take fewer, and try again"
             raise SourceError([Problem(Mark("--workers", 0), problem)]) from None
         return
-    with workers_of(dask) as pool, _ends_at_once(pool):
-        yield pool
+    with workers_of(dask) as cluster, _ends_at_once(cluster):
+        yield cluster
 
 
 @contextmanager
