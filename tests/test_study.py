@@ -661,6 +661,18 @@ def test_two_trials_tell_what_they_had_and_no_interval(setup: Setup, capsys: pyt
     assert "By 3 dry runs (intervals of 90 %): it takes" in " ".join(capsys.readouterr().out.split())
 
 
+def test_samples_that_come_out_alike_are_warned_of_once(setup: Setup, capsys: pytest.CaptureFixture[str]) -> None:
+    lab = load_lab(setup.lab)
+    odds = odds_of(make_plan(load_recipe(setup.recipe, lab), lab), [fake(seed, 300.0, "abc") for seed in range(3)])
+    alike, other = Chance(0.5, 0.4, 0.6, 4, 2), Chance(0.7, 0.6, 0.8, 4, 3)
+    tell_odds(replace(odds, samples={**{f"x-{n}": alike for n in range(1, 301)}, "y": other}))
+    warned = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Warning")]
+    assert warned == [
+        "Warning: x-1, x-2, x-3, …, x-300 (300 samples) are each in tolerance with a probability of 50% (40% to 60%).",
+        "Warning: y is in tolerance with a probability of 70% (60% to 80%).",
+    ]
+
+
 def test_what_is_varied_of_the_samples_is_judged_by_the_trials_that_asked_for_it(setup: Setup) -> None:
     """As of `repeat`: a trial has fewer samples than are written, or more; `a` and `b`, alike as written, are not."""
     lab = load_lab(setup.lab)
