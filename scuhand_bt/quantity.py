@@ -8,6 +8,7 @@ import: it is, when the first unit is read.
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,6 +38,7 @@ newton = kilogram * meter / second ** 2 = N
 hertz = 1 / second = Hz
 """
 MAX_LENGTH = 60
+MOST_LISTED = 8
 _NUMBER = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
 _COMMA = re.compile(r"[+-]?\d+,\d+(?!.*[.,])")
 _UNIT = re.compile(r"[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?(?:/[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?)?")
@@ -216,6 +218,13 @@ def plain_name(field_name: str) -> str:
 def counted(count: int, noun: str) -> str:
     """So many of something whose plural ends in s: "1 sample", "2 samples"."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def listed(names: Sequence[str], noun: str) -> str:
+    """Names as people read them: of many the first ones, the last, and how many they are."""
+    if len(names) <= MOST_LISTED:
+        return ", ".join(names)
+    return f"{', '.join(names[:3])}, …, {names[-1]} ({counted(len(names), noun)})"
 
 
 def format_mass(mass_mg: float) -> str:

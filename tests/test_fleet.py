@@ -27,7 +27,7 @@ from harness.postgres import Server, server, tools
 from scuhand_bt.events.entry import Event
 from scuhand_bt.fleet.needs import Offer, missing, needs_of, offer_of
 from scuhand_bt.fleet.order import Submission, submission_of, write
-from scuhand_bt.fleet.queue import KnownStation, Queue, QueuedJob, Taken, choose, open_queue
+from scuhand_bt.fleet.queue import ENDED, KnownStation, Queue, QueuedJob, Taken, choose, open_queue
 from scuhand_bt.fleet.station import Manner, Station
 from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.presence import Presence
@@ -300,6 +300,8 @@ def test_what_stations_say_of_themselves_is_seen_with_what_is_before_them(
             assert [await queue.cancel(number) for number in numbers] == [True, True]
             assert not await queue.cancel(numbers[0]), "it is over"
             assert await queue.take("one") is None
+            assert not await queue.forget("one"), "it is there"
+            await queue.tell("one", ENDED)
             assert await queue.forget("one")
             assert [station.name for station in await queue.stations()] == ["two"]
 
@@ -726,7 +728,7 @@ def test_an_idle_station_says_anew_what_its_cell_has(
             while "waits for a job" not in said:
                 await asyncio.sleep(0.05)
             assert await lots() == {}
-            assert await queue.forget("here")
+            await queue._database.execute_query_async("DELETE FROM scuhand_stations")
             cell = lab / "robot" / "cell.yaml"
             text = cell.read_text()
             cell.write_text(text.replace("cell: starter", "cell: [starter"))
@@ -776,6 +778,10 @@ def test_commands_submit_list_and_cancel(database: str, tmp_path: Path, command:
         async with enrolled(database, offer, "here"):
             pass
 
+    async def end() -> None:
+        async with open_queue(database) as queue:
+            await queue.tell("here", ENDED)
+
     run(enrol())
     recipe = REPOSITORY / "recipes" / "synthesis_batch.yaml"
     where = ("--database", database)
@@ -794,6 +800,10 @@ def test_commands_submit_list_and_cancel(database: str, tmp_path: Path, command:
     assert "is empty" in command("queue", *where).stdout
     assert "here" in command("fleet", *where).stdout
     assert command("fleet", "--forget", "nobody", *where).returncode == 2
+    code, _, said = command("fleet", "--forget", "here", *where)
+    assert code == 2
+    assert "'here' is there" in said, "it would be back with its next job, and none comes to it until then"
+    run(end())
     assert "no stations" in command("fleet", "--forget", "here", *where).stdout
 
 

@@ -78,6 +78,12 @@ def test_a_sample_behind_a_moment_that_needs_a_person_is_not_done(plan: Plan, de
     assert told[1].startswith("Not m-1, m-2, m-3: a person is needed before, at 'change powder to")
 
 
+def test_of_many_samples_that_are_not_done_the_first_and_the_last_are_named(desk: Desk) -> None:
+    plan = make_plan(desk.load(RECIPE.replace("repeat: 3", "repeat: 23")), desk.lab)
+    told = list(in_words(plan, desk.lab, tried(plan, 600.0), NIGHT, lambda made: tried(made, 600.0)))
+    assert told[1].startswith("Not m-01, m-02, m-03, …, m-23 (23 samples): a person is needed before")
+
+
 def test_all_that_a_person_is_needed_for_at_a_moment_is_said(plan: Plan) -> None:
     swap = next(person for person in plan.persons if person.job is not None)
     both = replace(plan, persons=(*plan.persons, replace(swap, what="refill 'a'")))

@@ -9,11 +9,12 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
-from concurrent.futures import CancelledError, Executor, Future
+from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -300,13 +301,71 @@ def test_a_cluster_without_a_worker_is_not_waited_for(cluster: SimpleNamespace) 
         pass
 
 
-@pytest.mark.parametrize("there", ["0.0.1", ModuleNotFoundError("No module named 'scuhand_bt'")])
-def test_a_worker_of_another_version_or_without_the_program_is_named(cluster: SimpleNamespace, there: object) -> None:
-    cluster.client.run.return_value = {"tcp://a": scuhand_bt.__version__, "tcp://b": there}
+NONE = ModuleNotFoundError("No module named 'scuhand_bt'")
+
+
+def of_none(call: bytes) -> Any:
+    raise NONE
+
+
+def of_another(call: bytes) -> Any:
+    """As a worker of another source makes of what it is sent."""
+    with pytest.MonkeyPatch.context() as there:
+        there.setattr("scuhand_bt.study.cluster.source_digest", lambda: "another")
+        return pickle.loads(call)
+
+
+def run_on(workers: dict[str, Callable[[bytes], Any]]) -> Callable[..., dict[str, Any]]:
+    """As `Client.run` with `on_error="return"`."""
+
+    def run(_: Any, call: bytes, **__: Any) -> dict[str, Any]:
+        said = {}
+        for address, makes_of in workers.items():
+            try:
+                said[address] = makes_of(call)
+            except ImportError as error:
+                said[address] = error
+        return said
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("makes_of", "why"), [(of_none, NONE), (of_another, f"it has {scuhand_bt.__version__} of another source")]
+)
+def test_a_worker_of_another_version_or_without_the_program_is_named(
+    cluster: SimpleNamespace, makes_of: Callable[[bytes], Any], why: object
+) -> None:
+    cluster.client.run.side_effect = run_on({"tcp://a": pickle.loads, "tcp://b": makes_of})
     with pytest.raises(SourceError) as wrong, executor_of(None, "tcp://x"):
         pass
-    said = f"the worker tcp://b has not scuhand-bt {scuhand_bt.__version__} but {there!r}: install it there"
-    assert [one.message for one in wrong.value.problems] == [said]
+    (problem,) = wrong.value.problems
+    assert problem.message.startswith(
+        f"the worker tcp://b has not this scuhand-bt {scuhand_bt.__version__} ({why}): install it there"
+    )
+
+
+@pytest.mark.parametrize("has_left", [False, True])
+@pytest.mark.parametrize("makes_of", [of_none, of_another])
+def test_a_trial_of_a_worker_that_came_later_and_has_another_program_does_not_count(
+    cluster: SimpleNamespace, setup: Setup, makes_of: Callable[[bytes], Any], *, has_left: bool
+) -> None:
+    workers = {"tcp://a": pickle.loads}
+    cluster.client.run.side_effect = run_on(workers)
+    threads = ThreadPoolExecutor(1)
+    cluster.client.get_executor().__enter__().submit = lambda _, call: threads.submit(makes_of, call)
+
+    def study() -> None:
+        with threads, executor_of(None, "tcp://x") as executor:
+            workers.update({} if has_left else {"tcp://late": makes_of})
+            list(all_trials([(setup, 0)], executor))
+
+    with pytest.raises(SourceError) as wrong:
+        study()
+    (problem,) = wrong.value.problems
+    said = "a worker has not all that a trial takes" if has_left else "the worker tcp://late has not this"
+    assert problem.message.startswith(said)
+    assert problem.message.endswith("the same command goes on with what was kept")
 
 
 def test_the_processes_of_a_study_that_is_killed_end_too(tmp_path: Path) -> None:
@@ -600,6 +659,18 @@ def test_two_trials_tell_what_they_had_and_no_interval(setup: Setup, capsys: pyt
     )
     tell_odds(odds_of(plan, [fake(seed, 300.0, "abc") for seed in range(3)]))
     assert "By 3 dry runs (intervals of 90 %): it takes" in " ".join(capsys.readouterr().out.split())
+
+
+def test_samples_that_come_out_alike_are_warned_of_once(setup: Setup, capsys: pytest.CaptureFixture[str]) -> None:
+    lab = load_lab(setup.lab)
+    odds = odds_of(make_plan(load_recipe(setup.recipe, lab), lab), [fake(seed, 300.0, "abc") for seed in range(3)])
+    alike, other = Chance(0.5, 0.4, 0.6, 4, 2), Chance(0.7, 0.6, 0.8, 4, 3)
+    tell_odds(replace(odds, samples={**{f"x-{n}": alike for n in range(1, 301)}, "y": other}))
+    warned = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Warning")]
+    assert warned == [
+        "Warning: x-1, x-2, x-3, …, x-300 (300 samples) are each in tolerance with a probability of 50% (40% to 60%).",
+        "Warning: y is in tolerance with a probability of 70% (60% to 80%).",
+    ]
 
 
 def test_what_is_varied_of_the_samples_is_judged_by_the_trials_that_asked_for_it(setup: Setup) -> None:

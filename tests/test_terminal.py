@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -22,8 +22,9 @@ from rich.console import Console
 from running import HEAD, Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
-from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted
-from scuhand_bt.journal.follow import Follower
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted, TreeNode
+from scuhand_bt.journal.follow import ActionNow, Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.run_events import Paused, RunBegun
 from scuhand_bt.journal.standing import Standing
@@ -255,6 +256,37 @@ def test_what_a_fallback_has_tried_has_failed_and_what_it_did_not_come_to_is_ski
             seq: one for seq, one in now.actions.items() if one.outcome is not None
         }  # as if paused before it
         assert tree_of(now)[0].state == "running", "what is still to come of a job is not done"
+
+
+AGAIN = (
+    *((0, "sequence", ""), (1, "optional", ""), (2, "retry", ""), (3, "inner", ""), (4, "sequence", "")),
+    *((5, "tare", "tare"), (5, "cone_holds", "holds"), (1, "repeat", ""), (2, "park", "park"), (1, "wait", "wait")),
+)
+FAILED = SkillFailed("hand.cone_empty", "it is empty")
+
+
+@pytest.mark.parametrize(
+    ("ended", "said"),
+    [
+        ([], "· · · · · · · · · ·"),
+        (["tare", "holds"], "▶ ▶ ▶ ✗ ✗ ✓ ✗ · · ·"),  # as py_trees has it in between
+        (["tare", "holds", "tare"], "▶ ▶ ▶ ▶ ▶ ✓ · · · ·"),
+        (["tare", "holds", "tare", "holds", "park"], "▶ ✓ ✗ ✗ ✗ ✓ ✗ ▶ ✓ ·"),
+        (["tare", "holds", "tare", "holds", "park", "park", "wait"], "✓ ✓ ✗ ✗ ✗ ✓ ✗ ✓ ✓ ✓"),
+    ],
+)
+def test_what_may_begin_anew_goes_on_until_something_else_has_acted(ended: Sequence[str], said: str) -> None:
+    """While nothing acts, as in a pause between two attempts."""
+    now = Follower(
+        Path("run.sqlite"),
+        trees={"again": [TreeNode(depth=depth, name=name, path=path) for depth, name, path in AGAIN]},
+        job=JobStarted(name="a", workflow="again", sample="a", attempt=1),
+    )
+    for seq, path in enumerate(ended):
+        failure = FAILED if path == "holds" else None
+        now.actions[seq] = ActionNow(path, path, "done" if failure is None else "failed", failure)
+    signs = {"running": "▶", "done": "✓", "failed": "✗", "to come": "·"}
+    assert " ".join(signs[node.state] for node in tree_of(now)) == said
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from harness.own_workflow import RECIPE, TREE, write_own
 from scuhand_bt.lab import read_lab, starter_lab
 from scuhand_bt.problems import Problem
 from scuhand_bt.report import directions
+from scuhand_bt.run import checking
 from scuhand_bt.run.checking import check
 
 ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
@@ -75,6 +76,20 @@ def test_a_park_in_a_zone_is_told_where_it_is_as_no_container_would_ever_come(la
         (problem,) = found(lab, "parked-in-zone")
         assert "zone 'pan'" in problem.message
         assert problem.mark.line == line_with(lab, "park: ")
+
+
+def test_a_pass_of_a_program_that_did_not_look_for_it_hides_nothing(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+    lab.write("robot/cell.yaml", re.sub(r"(name: pan, .*)}", r"\1, yaw: 30 deg}", cell))
+    with monkeypatch.context() as before:
+        before.setattr(checking, "source_digest", lambda: "another source of the same version")
+        before.setattr(checking, "_parked_in_zones", lambda *_: ())
+        assert not found(lab, "parked-in-zone"), "it passes, and that is remembered"
+        assert not found(lab, "parked-in-zone")
+    (problem,) = found(lab, "parked-in-zone")
+    assert "zone 'pan'" in problem.message
 
 
 @pytest.mark.slow

@@ -165,7 +165,7 @@ def fleet(
 ) -> None:
     """List the stations: what each does, when it was last heard of, and what it has before it."""
     _require_fleet()
-    from scuhand_bt.fleet import open_queue
+    from scuhand_bt.fleet import ABSENT_S, open_queue
 
     async def stations() -> "tuple[bool, list[KnownStation]]":
         async with open_queue(database) as queue:
@@ -174,7 +174,11 @@ def fleet(
 
     is_gone, found = _answered(stations())
     if not is_gone:
-        raise typer.BadParameter(f"'{forget}' has jobs, or is none of the stations", param_hint="--forget")
+        known = {one.name: one for one in found}
+        why = "is none of the stations" if forget not in known else "has jobs"
+        if forget in known and known[forget].is_there:
+            why = f"is there, it was heard of in the last {format_duration(ABSENT_S)}: end it first"
+        raise typer.BadParameter(f"'{forget}' {why}", param_hint="--forget")
     if as_json:
         offers = [one.offer.model_dump(mode="json") if one.offer is not None else None for one in found]
         print_json([{**asdict(one), "offer": offer} for one, offer in zip(found, offers, strict=True)])

@@ -24,12 +24,12 @@ from scuhand_bt.cli.shared import (
     the_plan,
 )
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.quantity import format_duration, format_mass, listed
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from scuhand_bt.study import Odds, Range, Setup, Store, Task, Trial, Vary
+    from scuhand_bt.study import Chance, Odds, Range, Setup, Store, Task, Trial, Vary
 
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")]
 MOST_TRIALS = 1_000_000
@@ -197,10 +197,13 @@ def tell_odds(odds: "Odds") -> None:
         out.print(table)
     if odds.samples:
         out.print(f"In tolerance: {odds.good:.1f} of {round(odds.asked, 1):g} samples are to be expected.")
+    alike: dict[Chance, list[str]] = {}
     for name in odds.unlikely:
-        chance = odds.samples[name]
-        what = f"Warning: {name} is in tolerance with a probability of {chance.probability:.0%}"
-        out.print(Text(f"{what} ({chance.low:.0%} to {chance.high:.0%})."))
+        alike.setdefault(odds.samples[name], []).append(name)
+    for chance, names in alike.items():
+        who = f"{names[0]} is" if len(names) == 1 else f"{listed(names, 'sample')} are each"
+        what = f"Warning: {who} in tolerance with a probability of {chance.probability:.0%}"
+        out.print(Text(f"{what} ({chance.low:.0%} to {chance.high:.0%})."), soft_wrap=True)
     for code, count in odds.codes.items():
         out.print(Text(f"{code}: {count:.2g} of a run's samples."))
 

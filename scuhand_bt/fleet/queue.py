@@ -209,10 +209,11 @@ class Queue:
         return next((station for station in await self.stations() if station.name in names), None)
 
     async def forget(self, name: str) -> bool:
-        """A station that is no more; False for one that has jobs, or was never there."""
+        """A station that is no more; False for one that is there or has jobs, or was never there."""
+        absent = any(station.name == name and not station.is_there for station in await self.stations())
         query = """DELETE FROM scuhand_stations WHERE name = %(name)s AND NOT EXISTS (
             SELECT FROM procrastinate_jobs WHERE queue_name = name AND status IN ('todo', 'doing')) RETURNING name"""
-        return bool(await self._database.execute_query_all_async(query, name=name))
+        return absent and bool(await self._database.execute_query_all_async(query, name=name))
 
     # --- a station
 

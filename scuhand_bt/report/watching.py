@@ -15,6 +15,8 @@ from scuhand_bt.tree.grammar import COMPOSITES
 _STATES = {None: "running", "done": "done", "failed": "failed"}
 _TURNED = {("invert", "done"): "failed", ("invert", "failed"): "done", ("optional", "failed"): "done"}
 """What a decorator makes of the state below it."""
+_BEGINS_AGAIN = {("retry", "failed"), ("repeat", "done"), ("for_each", "done")}
+"""Decorators that go on after what is below them has come to this."""
 
 
 def shown_of(now: Follower, run: RunBegun, balance: tuple[float, float, bool] | None = None) -> Shown:
@@ -84,22 +86,31 @@ def tree_of(now: Follower) -> Sequence[Node]:
 def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
     """A leaf's state is its last action's; that of a node above, of the last that acted below it.
 
-    What stands behind the leaf at work, not beside it, and acted before it, is to come again. What stands before the
-    last that acted, and did not act itself, was passed by. While a job goes on, what is above others is what they make
-    of it: a sequence is not done before the last of it, also while nothing acts.
+    What stands behind the leaf at work, or the last that was, not beside it, and acted before it, is to come again.
+    What stands before the last that acted, and did not act itself, was passed by. While a job goes on, what is above
+    others is what they make of it: a sequence is not done before the last of it, also while nothing acts. One that
+    begins anew what is below it is over when something else has acted since: how often it may is not in the journal.
     """
     last = {one.path: (seq, one) for seq, one in now.actions.items()}
     at_work = [place for place, node in enumerate(drawn) if node.path in last and last[node.path][1].outcome is None]
     reached = (
         max((last[node.path][0], place) for place, node in enumerate(drawn) if node.path in last)[1] if last else 0
     )
+    front = at_work[-1] if at_work else reached
     nodes: dict[int, Node] = {}
+
+    def is_left(place: int, below: Sequence[TreeNode]) -> bool:
+        """Whether something else, that is not beside it, has acted since what is below it did."""
+        inside = {one.path for one in below}
+        since = max(last[path][0] for path in inside if path in last)
+        others = [k for k, one in enumerate(drawn) if one.path in last and one.path not in inside]
+        return any(last[drawn[k].path][0] > since and not _is_beside(drawn, *sorted((place, k))) for k in others)
 
     def state_of(place: int, below: Sequence[TreeNode]) -> tuple[str, str]:
         """With why it failed."""
         node = drawn[place]
-        if at_work and place > at_work[-1] and not _is_beside(drawn, at_work[-1], place):
-            began = last[drawn[at_work[-1]].path][0]
+        if last and place > front and not _is_beside(drawn, front, place):
+            began = last[drawn[front].path][0]
             acted = [last[one.path] for one in below if one.path in last and last[one.path][0] > began]
         else:
             acted = [last[one.path] for one in below if one.path in last]
@@ -113,7 +124,9 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
             return ("skipped" if is_passed else "to come"), ""
         if len(below) > 1 and now.job_ended is None:
             children = [nodes[place + k].state for k, one in enumerate(below) if one.depth == node.depth + 1]
-            return _above(node.name, children), ""
+            state = _above(node.name, children)
+            begins_again = (node.name, state) in _BEGINS_AGAIN and not is_left(place, below)
+            return ("running" if begins_again else state), ""
         _, one = max(acted, key=lambda pair: pair[0])
         state = _STATES.get(one.outcome, "to come")
         why = str(one.failure) if one.failure is not None and len(below) == 1 else ""

@@ -13,12 +13,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import scuhand_bt
 from scuhand_bt.dosing.verdict import LIKELY, chance_with_lumps
 from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, state_folder, without_driver
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError
+from scuhand_bt.program import source_digest
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
 from scuhand_bt.recipe.recipe import Recipe, RecipeGiven, read_recipe
@@ -319,10 +319,10 @@ def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
 
 
 def _key(plan: Plan, lab: Lab) -> str:
-    """What the ways depend on, as a hash."""
+    """What the ways, and what is said of them, depend on, as a hash."""
     kinds = sorted({repr(kind.kind) for sample in plan.recipe.samples for kind in sample.all_containers})
     demands = sorted(f"{demand.source!r} {demand.doses_mg}" for demand in plan.demands)
-    depends = (scuhand_bt.__version__, lab.urdf, lab.cell, demands, kinds, sorted(plan.descents))
+    depends = (source_digest(), lab.urdf, lab.cell, demands, kinds, sorted(plan.descents))
     return hashlib.sha256(repr(depends).encode()).hexdigest()
 
 

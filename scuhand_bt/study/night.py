@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.quantity import format_duration
+from scuhand_bt.quantity import format_duration, listed
 from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.study.odds import Odds
@@ -112,7 +112,7 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Pl
         if fate.why is not None:
             reasons.setdefault(fate.why, []).append(fate.sample)
     for why, samples in reasons.items():
-        yield f"Not {', '.join(samples)}: {why}."
+        yield f"Not {listed(samples, 'sample')}: {why}."
     better = better_order(plan, lab, odds, night) if len(fit) < len(found) else None
     if better is not None:
         more = sum(fate.why is None for fate in fates(better, tried(better), night))

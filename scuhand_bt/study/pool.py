@@ -1,23 +1,18 @@
 """What runs trials: processes of this computer, or the workers of a Dask cluster."""
 
-import logging
 import multiprocessing
 import os
-import pkgutil
 import signal
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from threading import Thread
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
-import scuhand_bt
 from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.study.cluster import workers_of
 from scuhand_bt.study.store import Store
 from scuhand_bt.study.trial import Task, Trial, trials
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -38,8 +33,7 @@ class _Processes(ProcessPoolExecutor):
 def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
     """So many new processes, as many as there are cores if None; or the Dask scheduler at an address.
 
-    SourceError where Dask is not installed, does not answer, has no worker of this version or goes away, and where one
-    of the processes was killed.
+    SourceError as `workers_of` it, and where one of the processes was killed.
     """
     if dask is None:
         many, spawn = workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")
@@ -50,41 +44,8 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
             problem = f"one of {many} processes was killed, as for want of memory: take fewer, and try again"
             raise SourceError([Problem(Mark("--workers", 0), problem)]) from None
         return
-    try:
-        from distributed import Client, KilledWorker
-
-        client = Client(dask, timeout="10s")
-    except (ImportError, OSError, ValueError) as error:
-        problem = (
-            f"no Dask scheduler: {error}; `pip install 'scuhand-bt[dask]'`, and start `dask scheduler` and workers"
-        )
-        raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # of a lost cluster it tells by tracebacks
-    try:
-        with client:
-            _require_workers(client, dask)
-            with client.get_executor() as pool, _ends_at_once(pool):
-                yield pool
-    except (CancelledError, KilledWorker) as error:
-        problem = f"the cluster was lost ({type(error).__name__}); the same command goes on with what was kept"
-        raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
-
-
-def _require_workers(client: "Client", dask: str) -> None:
-    """At least one, and all of this version: without this program one answers nothing, with another one otherwise."""
-    try:
-        client.wait_for_workers(1, timeout=10)
-        versions = client.run(pkgutil.resolve_name, "scuhand_bt:__version__", on_error="return")
-    except OSError:
-        problem = "the scheduler has no worker: start some by `dask worker ADDRESS`"
-        raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
-    here = scuhand_bt.__version__
-    others = {worker: there for worker, there in versions.items() if there != here}
-    said = [
-        f"the worker {one} has not scuhand-bt {here} but {there!r}: install it there" for one, there in others.items()
-    ]
-    if said:
-        raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem) for problem in said])
+    with workers_of(dask) as cluster, _ends_at_once(cluster):
+        yield cluster
 
 
 @contextmanager

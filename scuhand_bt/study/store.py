@@ -8,8 +8,8 @@ from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import scuhand_bt
 from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.program import source_digest
 from scuhand_bt.study.change import files_hash, plant_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
@@ -23,7 +23,7 @@ class Store:
         self._database = database
         files = setup.files or files_hash(setup.recipe, setup.lab)
         physics = setup.physics or plant_hash(setup.plant)
-        self._files = json.dumps([files, scuhand_bt.__version__, *([physics] if physics else [])])
+        self._files = json.dumps([files, source_digest(), *([physics] if physics else [])])
 
     def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
         """Those of the tasks that were tried before, with the very files and program of today."""

@@ -1,0 +1,111 @@
+"""Trials on the workers of a Dask cluster, each of which has to have this very program.
+
+Workers come and go while a study goes on, so each trial asks the one that takes it. It goes there as bytes that nobody
+reads on the way: the scheduler needs no program of ours, and a worker that has none says so by an error of its own,
+where Dask would drop its connection and wait for it (distributed 2026.8).
+"""
+
+import logging
+import pickle
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+import scuhand_bt
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.program import source_digest
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+P = ParamSpec("P")
+T = TypeVar("T")
+OURS = f"scuhand-bt {scuhand_bt.__version__}"
+GOES_ON = "the same command goes on with what was kept"
+
+
+class _Sent:
+    """A call that is made where it is unpickled."""
+
+    def __init__(self, call: bytes) -> None:
+        self._call = call
+
+    def __reduce__(self) -> tuple[Callable[[str, bytes], Any], tuple[str, bytes]]:
+        return answer, (source_digest(), self._call)
+
+
+def answer(program: str, call: bytes) -> Any:
+    """What a worker makes of a call by the program that has this source; ImportError where it has another one."""
+    if source_digest() != program:
+        raise ImportError(f"it has {scuhand_bt.__version__} of another source")
+    function, arguments = pickle.loads(call)
+    return function(*arguments)
+
+
+def _sent(function: Callable[..., Any], *arguments: Any) -> bytes:
+    return pickle.dumps(_Sent(pickle.dumps((function, arguments))))
+
+
+class _Cluster(Executor):
+    """Dask's own executor, to which calls go as bytes."""
+
+    def __init__(self, dask: Executor) -> None:
+        self._dask = dask
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        return self._dask.submit(pickle.loads, _sent(fn, *args))
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._dask.shutdown(wait=wait)
+
+
+@contextmanager
+def workers_of(address: str) -> Iterator[Executor]:
+    """The workers of the Dask scheduler at an address.
+
+    SourceError where Dask is not installed, does not answer, has no worker or goes away, and for every worker that has
+    not this program: before the first trial, or when one that has come later takes a trial.
+    """
+    mark = Mark(f"--dask {address}", 0)
+    try:
+        from distributed import Client, KilledWorker
+
+        client = Client(address, timeout="10s")
+    except (ImportError, OSError, ValueError) as error:
+        problem = (
+            f"no Dask scheduler: {error}; `pip install 'scuhand-bt[dask]'`, and start `dask scheduler` and workers"
+        )
+        raise SourceError([Problem(mark, problem)]) from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # of a lost cluster it tells by tracebacks
+    try:
+        with client:
+            _require_workers(client, mark)
+            try:
+                with client.get_executor() as dask:
+                    yield _Cluster(dask)
+            except ImportError as error:
+                _require_same(client, mark)
+                problem = f"a worker has not all that a trial takes ({error}): install {OURS} there anew; {GOES_ON}"
+                raise SourceError([Problem(mark, problem)]) from None
+    except (CancelledError, KilledWorker) as error:
+        problem = f"the cluster was lost ({type(error).__name__}); {GOES_ON}"
+        raise SourceError([Problem(mark, problem)]) from None
+
+
+def _require_workers(client: "Client", mark: Mark) -> None:
+    try:
+        client.wait_for_workers(1, timeout=10)
+        _require_same(client, mark)
+    except OSError:
+        problem = "the scheduler has no worker: start some by `dask worker ADDRESS`"
+        raise SourceError([Problem(mark, problem)]) from None
+
+
+def _require_same(client: "Client", mark: Mark) -> None:
+    """Every worker that is there has this program: without it one answers nothing, with another one otherwise."""
+    said = client.run(pickle.loads, _sent(tuple), on_error="return")
+    others = {worker: there for worker, there in said.items() if isinstance(there, BaseException)}
+    if others:
+        told = [f"the worker {one} has not this {OURS} ({why}): install it there" for one, why in others.items()]
+        raise SourceError([Problem(mark, f"{problem}; {GOES_ON}") for problem in told])
