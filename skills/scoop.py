@@ -119,16 +119,17 @@ class Scoop(Skill[Milligrams]):
         wanted_mg = most_mg
         if self.wanted_mg is not None:
             wanted_mg = scooped_for_mg(self.wanted_mg) / yielded
+        is_jar = source.mortar.corner_mm is not None
         pressed_mm = min(self.over_travel_mm, LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand))
+        # A hand that is as low as it may be cannot press: where it can nowhere, the lip follows the wall.
+        over_travels_mm = (0.0,) if is_jar or in_mortar_mg >= PRESSED_BELOW_MG else (pressed_mm, 0.0)
         try:
-            for stroke in strokes_in(bed, slant_mm, min(wanted_mg, most_mg), self._headings_deg(cell)):
-                gap_mm = stroke.gap_mm
-                if source.mortar.corner_mm is not None:
-                    if yielded * expected_mg(stroke, bed, slant_mm) < LEAST_MG:
+            for over_mm in over_travels_mm:
+                for stroke in strokes_in(bed, slant_mm, min(wanted_mg, most_mg), self._headings_deg(cell)):
+                    if is_jar and yielded * expected_mg(stroke, bed, slant_mm) < LEAST_MG:
                         continue
-                elif gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
-                    gap_mm = -pressed_mm
-                yield replace(stroke, gap_mm=gap_mm, lip_speed_mm_per_s=self.speed_mm_per_s)
+                    gap_mm = -over_mm if over_mm > 0.0 and stroke.gap_mm <= LIP_GAP_MM else stroke.gap_mm
+                    yield replace(stroke, gap_mm=gap_mm, lip_speed_mm_per_s=self.speed_mm_per_s)
         except NoStrokeError as error:
             raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
 
