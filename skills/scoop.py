@@ -105,13 +105,13 @@ class Scoop(Skill[Milligrams]):
             source.mortar,
             believed.sources_mg[source.name],
             source.powder,
-            cell.spec.hand.sheet_radius_mm,
+            Ladle.of(cell.spec.hand),
             believed.layers.get(source.name),
         )
 
     def _wished(self, cell: Cell, bed: AnyBed, in_mortar_mg: float) -> Iterator[Stroke]:
         """The strokes that may be made, the first that the arm can make before others."""
-        source, slant_mm = self.source, cell.spec.hand.sheet_radius_mm
+        source, ladle = self.source, Ladle.of(cell.spec.hand)
         yielded = cell.believed.yields.get(source.name, 1.0)
         # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
         aim = RICH_AIM if yielded >= RICH or bed.missed_mg > 0.0 else LOAD_AIM
@@ -125,8 +125,8 @@ class Scoop(Skill[Milligrams]):
         over_travels_mm = (0.0,) if is_jar or in_mortar_mg >= PRESSED_BELOW_MG else (pressed_mm, 0.0)
         try:
             for over_mm in over_travels_mm:
-                for stroke in strokes_in(bed, slant_mm, min(wanted_mg, most_mg), self._headings_deg(cell)):
-                    if is_jar and yielded * expected_mg(stroke, bed, slant_mm) < LEAST_MG:
+                for stroke in strokes_in(bed, ladle, min(wanted_mg, most_mg), self._headings_deg(cell)):
+                    if is_jar and yielded * expected_mg(stroke, bed, ladle.slant_mm) < LEAST_MG:
                         continue
                     gap_mm = -over_mm if over_mm > 0.0 and stroke.gap_mm <= LIP_GAP_MM else stroke.gap_mm
                     yield replace(stroke, gap_mm=gap_mm, lip_speed_mm_per_s=self.speed_mm_per_s)

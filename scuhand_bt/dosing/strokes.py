@@ -232,7 +232,7 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
     )
 
 
-def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float, widest_mm: float = math.inf) -> Stroke:
+def chosen(bed: Bed, ladle: Ladle, wanted_mg: float, widest_mm: float = math.inf) -> Stroke:
     """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be.
 
     Its rim is at most `widest_mm`.
@@ -242,7 +242,7 @@ def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float, widest_mm: float 
     where the lip cannot come to the wall behind its middle; and where the vessel, the sheet or the handle allow none
     with any rim.
     """
-    ladle, why = Ladle(sheet_radius_mm), list[NoStrokeError]()
+    sheet_radius_mm, why = ladle.slant_mm, list[NoStrokeError]()
     widest_mm = min(widest_mm, _on_grid(WIDEST_SHARE * min(bed.mortar.bore_mm, 2 * sheet_radius_mm), RIM_GRID_MM))
     for open_mm in np.arange(widest_mm, ladle.rim_limits_mm[0] + CLOSING_MM, -RIM_GRID_MM).tolist():
         stroke = _deep_enough(bed, sheet_radius_mm, wanted_mg, open_mm)

@@ -117,10 +117,10 @@ def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) ->
 
 def _first(cell: CellSpec, source: Source, bed_mg: float) -> tuple[Stroke, float]:
     """The first stroke in such a bed, and what it should bring; NoStrokeError where there is none."""
-    slant_mm = cell.hand.sheet_radius_mm
-    bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm)
-    stroke = next(strokes_in(bed, slant_mm, source.powder.load_limit_mg, [0.0]))
-    return stroke, expected_mg(stroke, bed, slant_mm)
+    ladle = Ladle.of(cell.hand)
+    bed = bed_in(source.mortar, bed_mg, source.powder, ladle)
+    stroke = next(strokes_in(bed, ladle, source.powder.load_limit_mg, [0.0]))
+    return stroke, expected_mg(stroke, bed, ladle.slant_mm)
 
 
 def wishes_mg(demand: Demand) -> list[float]:
@@ -140,9 +140,9 @@ def strokes_along(
 ) -> Iterator[Stroke]:
     """What is tried in such a bed for so much; MortarCannotBeScooped where nothing comes of it."""
     stroke_in(cell, source, bed_mg)
-    slant_mm = cell.hand.sheet_radius_mm
-    bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm)
-    return strokes_in(bed, slant_mm, wanted_mg, along_deg)
+    ladle = Ladle.of(cell.hand)
+    bed = bed_in(source.mortar, bed_mg, source.powder, ladle)
+    return strokes_in(bed, ladle, wanted_mg, along_deg)
 
 
 def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> None:
@@ -151,7 +151,7 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
     SkillFailed arm.* where the arm can make none; MortarCannotBeScooped where those that it can make are not sure to
     bring the doses, or fewer than the plan counts on before the first refill.
     """
-    source, slant_mm, why_not = demand.source, cell.hand.sheet_radius_mm, dict[tuple[float, bool], str]()
+    source, why_not = demand.source, dict[tuple[float, bool], str]()
 
     def arm_can(stroke: Stroke) -> bool:
         way = stroke.heading_deg, stroke.gap_mm <= LIP_GAP_MM  # a lip on the floor has the hand nearest to the wall
@@ -164,7 +164,7 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
         return not why_not[way]
 
     everywhere_deg = list(headings_deg(cell, source.station))
-    jar = JarBed(source.mortar, source.amount_mg, source.powder, slant_mm)
+    jar = JarBed(source.mortar, source.amount_mg, source.powder, Ladle.of(cell.hand))
     doses_mg = demand.doses_mg
     if source.refill_mg is not None:
         doses_mg = doses_mg[: max(1, sure_doses(jar, doses_mg, COUNTED_ON_DEG, is_discarded=source.is_discarded))]
