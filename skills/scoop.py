@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from scuhand_bt.dosing.beds import AnyBed, bed_in, expected_mg, found_mg, layer_left, strokes_in
+from scuhand_bt.dosing.beds import AnyBed, bed_for, expected_mg, found_mg, layer_left, strokes_in
 from scuhand_bt.dosing.jars import LEAST_MG
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
@@ -101,7 +101,7 @@ class Scoop(Skill[Milligrams]):
 
     def _bed(self, cell: Cell) -> AnyBed:
         source, believed = self.source, cell.believed
-        return bed_in(
+        return bed_for(
             source.mortar,
             believed.sources_mg[source.name],
             source.powder,

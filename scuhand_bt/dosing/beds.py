@@ -16,7 +16,7 @@ NARROWER_MM = (8.0, 16.0, 24.0)
 """How much narrower rims are tried where the arm can make no stroke with the widest."""
 
 
-def bed_in(mortar: Mortar, mass_mg: float, powder: Powder, ladle: Ladle, layer: Layer | None = None) -> AnyBed:
+def bed_for(mortar: Mortar, mass_mg: float, powder: Powder, ladle: Ladle, layer: Layer | None = None) -> AnyBed:
     """So much in such a vessel, as its last strokes have left it, for such a hand."""
     if mortar.corner_mm is None:
         return Bed(mortar, mass_mg, powder, layer)

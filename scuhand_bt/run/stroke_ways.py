@@ -10,7 +10,7 @@ from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
-from scuhand_bt.dosing.beds import bed_in, expected_mg, strokes_in
+from scuhand_bt.dosing.beds import bed_for, expected_mg, strokes_in
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.jars import COUNTED_ON_DEG, SIZES_MM, WIDEST_MM, JarBed, sure_doses
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
@@ -118,7 +118,7 @@ def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) ->
 def _first(cell: CellSpec, source: Source, bed_mg: float) -> tuple[Stroke, float]:
     """The first stroke in such a bed, and what it should bring; NoStrokeError where there is none."""
     ladle = Ladle.of(cell.hand)
-    bed = bed_in(source.mortar, bed_mg, source.powder, ladle)
+    bed = bed_for(source.mortar, bed_mg, source.powder, ladle)
     stroke = next(strokes_in(bed, ladle, source.powder.load_limit_mg, [0.0]))
     return stroke, expected_mg(stroke, bed, ladle.slant_mm)
 
@@ -141,7 +141,7 @@ def strokes_along(
     """What is tried in such a bed for so much; MortarCannotBeScooped where nothing comes of it."""
     stroke_in(cell, source, bed_mg)
     ladle = Ladle.of(cell.hand)
-    bed = bed_in(source.mortar, bed_mg, source.powder, ladle)
+    bed = bed_for(source.mortar, bed_mg, source.powder, ladle)
     return strokes_in(bed, ladle, wanted_mg, along_deg)
 
 
