@@ -5,14 +5,17 @@ import math
 import re
 import sys
 from itertools import islice
+from typing import Any
 
 import pytest
 from conftest import Call, LabFolder
 
 from harness.own_workflow import RECIPE, TREE, write_own
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Stroke
 from scuhand_bt.lab import read_lab, starter_lab
 from scuhand_bt.problems import Problem
 from scuhand_bt.report import directions
+from scuhand_bt.run import ways
 from scuhand_bt.run.checking import check
 
 ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
@@ -110,6 +113,23 @@ def test_a_mortar_that_stands_badly_and_cannot_be_scooped_from_anywhere_is_told_
     (problem,) = found(lab, "no-path")
     assert problem.message.endswith("would do")
     assert problem.mark.file == str(recipe)
+
+
+def test_the_stroke_for_the_smallest_dose_is_looked_at_beside_the_deepest(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that leaves a thicker layer has the arm higher: a recipe passed, and its first dose of 36 mg was lost."""
+    gaps_mm, recipe = list[float](), lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"amount: \d+ g", "amount: 20 g", recipe.read_text()))
+
+    def noted(motion: Any, cell: Any, source: Any, stroke: Stroke) -> float:
+        gaps_mm.append(stroke.gap_mm)
+        return 4.0
+
+    monkeypatch.setattr(ways, "swing_and_out", noted)
+    assert blocked(lab) == []
+    first_mm, smallest_mm, *_ = gaps_mm
+    assert smallest_mm > first_mm > LIP_GAP_MM
 
 
 @pytest.mark.slow
