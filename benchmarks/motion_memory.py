@@ -59,7 +59,7 @@ class Scoops:
         """The k-th of so many: another bed, another direction."""
         bed_mg = BED_MG[1] + (BED_MG[0] - BED_MG[1]) * k / of
         hand = self.cell.hand
-        stroke = chosen(Bed(self.mortar, bed_mg, self.powder), hand.sheet_radius_mm, self.powder.load_limit_mg)
+        stroke = chosen(Bed(self.mortar, bed_mg, self.powder), Ladle.of(hand), self.powder.load_limit_mg)
         stroke = replace(stroke, heading_deg=(k * TURN_DEG) % 360.0)
         self.planner.set_geometry()
         try:

@@ -135,7 +135,7 @@ def geometry(lab: Lab, count: int, rng: random.Random) -> Iterator[dict[str, Any
         station, name = rng.choice(cases)
         mortar, powder = lab.library.mortars[name], lab.library.powders[rng.choice(POWDERS)]
         bed = Bed(mortar, rng.uniform(*FILLS_MG[name]), powder)
-        stroke = chosen(bed, hand.sheet_radius_mm, rng.uniform(500.0, 5000.0))
+        stroke = chosen(bed, Ladle.of(hand), rng.uniform(500.0, 5000.0))
         stroke = replace(stroke, heading_deg=rng.uniform(0.0, 360.0))
         x_mm, y_mm, z_mm = cell.stations[station].position_mm
         try:

@@ -30,9 +30,8 @@ POURED_S = 1.0
 """Tilted so far, all has slid out within this time."""
 
 
-def empty_cone(cell: Cell) -> Steps[None]:
-    """Open the valve wide and vibrate for as long as the believed load needs, then believe the cone empty."""
-    source = cell.sources[cell.believed.cone_source or ""]
+def empty_cone(cell: Cell, source: Source) -> Steps[None]:
+    """Open the valve wide and vibrate for as long as the believed load of a source needs, then believe it empty."""
     belief = cell.powder_beliefs.get(source.sheet_key, source.powder.belief)
     opening_mm = cell.spec.hand.max_opening_mm
     flow_mg_per_s = belief.coefficient * max(opening_mm - belief.threshold_mm, 0.1) ** belief.exponent
@@ -49,7 +48,7 @@ def empty_cone(cell: Cell) -> Steps[None]:
 def empty_into(cell: Cell, source: Source) -> Steps[None]:
     """Empty the cone over the source that its powder came from, which then holds it again."""
     held_mg = cell.believed.cone_mg
-    yield from empty_cone(cell)
+    yield from empty_cone(cell, source)
     cell.believed.returned(source.name, held_mg)
     cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
@@ -61,7 +60,7 @@ def empty_at(cell: Cell, station: str) -> Steps[None]:
     believed = cell.believed
     held_mg, source = believed.cone_mg, cell.sources[believed.cone_source or ""]
     _let_into(cell, station, source, 0.0)  # whatever comes of it, the vessel has that lot in it
-    yield from empty_cone(cell)
+    yield from empty_cone(cell, source)
     # Else the next stroke, made for less than there is, would bring more than the cone may carry.
     missed_mg = min(held_mg, believed.missed_mg.get(source.name, 0.0))
     believed.returned(source.name, missed_mg)
@@ -104,7 +103,7 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     most_mg = min(source.powder.load_limit_mg, held_mg + believed.sources_mg[source.name])
     believed.source_holds(source.name, held_mg + believed.sources_mg[source.name] - most_mg)
     believed.cone_holds(source, most_mg)  # known to be loaded, and no powder made, where this is halted, too
-    yield from empty_cone(cell)
+    yield from empty_cone(cell, source)
     believed.returned(source.name, most_mg)
     cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
@@ -141,9 +140,10 @@ def pour_back(cell: Cell, source: Source) -> Steps[None]:
 def pour_rest(cell: Cell, source: Source) -> Steps[None]:
     """Pour out what a cone that gives nothing more may hold still, before a scoop tips it.
 
-    It goes into the mortar, or into what its leftovers are discarded into.
+    It goes into the mortar, or into what its leftovers are discarded into; through the valve, shaken, where the arm
+    cannot pour it: on the way to a stroke it would fall beside the mortar.
 
-    Where the arm cannot, or the powder would not slide, it stays, and is known to.
+    Where the powder would not slide, it stays, and is known to.
     """
     if not slides_out(cell, source):
         return
@@ -155,10 +155,11 @@ def pour_rest(cell: Cell, source: Source) -> Steps[None]:
     except SkillFailed as failure:
         if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
             raise
+        yield from empty_cone(cell, source)
     else:
         cell.believed.emptied()
-        if goes_to != source.station:
-            cell.record.event(Discarded(expected_mg=0.0, source=source.name, to=goes_to))
+    if goes_to != source.station:
+        cell.record.event(Discarded(expected_mg=0.0, source=source.name, to=goes_to))
 
 
 def slides_out(cell: Cell, source: Source) -> bool:

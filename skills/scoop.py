@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from scuhand_bt.dosing.beds import AnyBed, bed_in, expected_mg, found_mg, layer_left, strokes_in
+from scuhand_bt.dosing.beds import AnyBed, bed_for, expected_mg, found_mg, layer_left, strokes_in
 from scuhand_bt.dosing.jars import LEAST_MG
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
@@ -101,17 +101,17 @@ class Scoop(Skill[Milligrams]):
 
     def _bed(self, cell: Cell) -> AnyBed:
         source, believed = self.source, cell.believed
-        return bed_in(
+        return bed_for(
             source.mortar,
             believed.sources_mg[source.name],
             source.powder,
-            cell.spec.hand.sheet_radius_mm,
+            Ladle.of(cell.spec.hand),
             believed.layers.get(source.name),
         )
 
     def _wished(self, cell: Cell, bed: AnyBed, in_mortar_mg: float) -> Iterator[Stroke]:
         """The strokes that may be made, the first that the arm can make before others."""
-        source, slant_mm = self.source, cell.spec.hand.sheet_radius_mm
+        source, ladle = self.source, Ladle.of(cell.spec.hand)
         yielded = cell.believed.yields.get(source.name, 1.0)
         # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
         aim = RICH_AIM if yielded >= RICH or bed.missed_mg > 0.0 else LOAD_AIM
@@ -119,16 +119,17 @@ class Scoop(Skill[Milligrams]):
         wanted_mg = most_mg
         if self.wanted_mg is not None:
             wanted_mg = scooped_for_mg(self.wanted_mg) / yielded
+        is_jar = source.mortar.corner_mm is not None
         pressed_mm = min(self.over_travel_mm, LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand))
+        # A hand that is as low as it may be cannot press: where it can nowhere, the lip follows the wall.
+        over_travels_mm = (0.0,) if is_jar or in_mortar_mg >= PRESSED_BELOW_MG else (pressed_mm, 0.0)
         try:
-            for stroke in strokes_in(bed, slant_mm, min(wanted_mg, most_mg), self._headings_deg(cell)):
-                gap_mm = stroke.gap_mm
-                if source.mortar.corner_mm is not None:
-                    if yielded * expected_mg(stroke, bed, slant_mm) < LEAST_MG:
+            for over_mm in over_travels_mm:
+                for stroke in strokes_in(bed, ladle, min(wanted_mg, most_mg), self._headings_deg(cell)):
+                    if is_jar and yielded * expected_mg(stroke, bed, ladle.slant_mm) < LEAST_MG:
                         continue
-                elif gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
-                    gap_mm = -pressed_mm
-                yield replace(stroke, gap_mm=gap_mm, lip_speed_mm_per_s=self.speed_mm_per_s)
+                    gap_mm = -over_mm if over_mm > 0.0 and stroke.gap_mm <= LIP_GAP_MM else stroke.gap_mm
+                    yield replace(stroke, gap_mm=gap_mm, lip_speed_mm_per_s=self.speed_mm_per_s)
         except NoStrokeError as error:
             raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
 

@@ -9,6 +9,7 @@ import pytest
 from dose_bench import shipped_powders
 
 from scuhand_bt.bench_spec import Station
+from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing.jars import LEAST_MG, JarBed, along_floor, has_way, sure_doses
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.swing import stroke_path
@@ -20,6 +21,7 @@ from scuhand_bt.specs import Mortar, Powder
 POWDERS = shipped_powders()
 BEADS, MSG = POWDERS["glass_beads"], POWDERS["monosodium_glutamate"]
 SHEET_MM = 50.0
+LADLE = Ladle(SHEET_MM)
 LOAD_MG = 4750.0
 HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0)
 
@@ -36,7 +38,7 @@ def jar(bore_mm: float = 95.0, depth_mm: float = 40.0) -> Mortar:
 
 
 def bed_in(vessel: Mortar, mass_mg: float, powder: Powder = BEADS) -> JarBed:
-    return JarBed(vessel, mass_mg, powder, SHEET_MM)
+    return JarBed(vessel, mass_mg, powder, LADLE)
 
 
 def brought_mg(vessel: Mortar, powder: Powder, fill_mg: float, strokes: Sequence[Stroke]) -> list[float]:
@@ -97,7 +99,7 @@ def test_what_no_stroke_reaches_is_known_to_be_left(powder: Powder) -> None:
     vessel, fill_mg, layer, there_mg, strokes = jar(), 12_000.0, None, 12_000.0, list[Stroke]()
     expected_mg = 0.0
     while True:
-        bed = JarBed(vessel, there_mg, powder, SHEET_MM, layer)
+        bed = JarBed(vessel, there_mg, powder, LADLE, layer)
         stroke = max((bed.chosen(LOAD_MG, heading_deg) for heading_deg in HEADINGS_DEG), key=bed.expected_mg)
         if bed.expected_mg(stroke) < 100.0:
             break
@@ -113,7 +115,7 @@ def test_what_no_stroke_reaches_is_known_to_be_left(powder: Powder) -> None:
 def test_a_stroke_where_one_was_made_brings_next_to_nothing_and_one_across_it_less() -> None:
     bed = bed_in(jar(), 12_000.0)
     first, across = (bed.chosen(LOAD_MG, heading_deg) for heading_deg in (90.0, 150.0))
-    then = JarBed(jar(), 12_000.0 - bed.expected_mg(first), BEADS, SHEET_MM, bed.left_by(first))
+    then = JarBed(jar(), 12_000.0 - bed.expected_mg(first), BEADS, LADLE, bed.left_by(first))
     assert then.expected_mg(first) < 0.02 * bed.expected_mg(first)
     assert 0.2 * bed.expected_mg(across) < then.expected_mg(across) < 0.8 * bed.expected_mg(across)
 
@@ -122,10 +124,10 @@ def test_what_is_filled_in_is_there_for_the_next_strokes_and_for_those_after_the
     bed = bed_in(jar(), 12_000.0)
     there, across = (replace(along_floor(jar(), SHEET_MM), heading_deg=heading_deg) for heading_deg in (90.0, 180.0))
     left = bed.left_by(there)
-    filled = JarBed(jar(), left.mass_mg + 10_000.0, BEADS, SHEET_MM, left)
+    filled = JarBed(jar(), left.mass_mg + 10_000.0, BEADS, LADLE, left)
     assert filled.expected_mg(there) > 2.0 * bed.expected_mg(there), "it lies in the middle"
     later = filled.left_by(across)
-    again = JarBed(jar(), later.mass_mg, BEADS, SHEET_MM, later)
+    again = JarBed(jar(), later.mass_mg, BEADS, LADLE, later)
     assert again.expected_mg(there) > 0.1 * bed.expected_mg(there), "and beside the stroke across"
 
 
@@ -133,8 +135,8 @@ def test_the_rest_of_a_load_that_is_poured_back_is_found_again() -> None:
     bed = bed_in(jar(), 12_000.0)
     first, across = (bed.chosen(LOAD_MG, heading_deg) for heading_deg in (90.0, 150.0))
     left, rest_mg = bed.left_by(first), 800.0
-    without = JarBed(jar(), left.mass_mg, BEADS, SHEET_MM, left)
-    poured = JarBed(jar(), left.mass_mg + rest_mg, BEADS, SHEET_MM, left)
+    without = JarBed(jar(), left.mass_mg, BEADS, LADLE, left)
+    poured = JarBed(jar(), left.mass_mg + rest_mg, BEADS, LADLE, left)
     for stroke in (first, across):
         assert poured.expected_mg(stroke) - without.expected_mg(stroke) == pytest.approx(rest_mg, rel=0.1)
     field, there_mg, came_mg = HeightField(jar(), BEADS), 12_000.0, list[float]()
@@ -160,7 +162,7 @@ def test_no_more_is_met_than_is_wanted_and_a_layer_is_several_grains(wanted_mg: 
 def test_as_many_doses_as_are_sure_come_of_a_jar_by_the_height_field(is_discarded: bool) -> None:
     """In a narrow one, whose first stroke brings two thirds of what it should."""
     vessel, headings_deg, doses_mg = jar(80.0), (90.0, 270.0, 120.0, 240.0), [400.0] * 9
-    bed = JarBed(vessel, 12_000.0, MSG, SHEET_MM)
+    bed = JarBed(vessel, 12_000.0, MSG, LADLE)
     sure = sure_doses(bed, doses_mg, headings_deg, is_discarded=is_discarded)
     field, there_mg, came = HeightField(vessel, MSG), 12_000.0, 0
     for dose_mg in doses_mg:
@@ -183,8 +185,14 @@ def test_a_jar_that_the_hand_has_no_way_in_is_refused_with_what_would_do(vessel:
     ) as no:
         bed_in(vessel, 12_000.0).chosen(LOAD_MG, 0.0)
     bore_mm, depth_mm = (float(part.split()[0]) for part in str(no.value).split(" of ")[-2:])
-    assert has_way(jar(bore_mm, vessel.depth_mm), SHEET_MM)
-    assert has_way(jar(vessel.bore_mm, depth_mm), SHEET_MM)
+    assert has_way(jar(bore_mm, vessel.depth_mm), LADLE)
+    assert has_way(jar(vessel.bore_mm, depth_mm), LADLE)
+
+
+def test_a_wide_jar_has_a_way_for_the_cells_own_larger_sheet() -> None:
+    """Its rim of 100 mm is beyond what the roller of the usual sheet makes."""
+    large = HandSpec(sheet_radius_mm=62.0)
+    assert has_way(jar(125.0, 30.0), Ladle.of(large))
 
 
 def test_the_lip_stays_on_the_floor_and_nothing_else_comes_to_the_wall() -> None:

@@ -138,7 +138,7 @@ def test_a_cone_that_opens_where_it_stands_stays_upright_about_its_apex(planner:
 
 
 def test_on_its_way_to_a_stroke_the_cone_is_formed_and_touches_nothing(planner: MotionPlanner) -> None:
-    stroke = replace(chosen(Bed(MORTAR, 20000.0, BEADS), HAND.sheet_radius_mm, 4000.0), heading_deg=OUTWARD_DEG + 90.0)
+    stroke = replace(chosen(Bed(MORTAR, 20000.0, BEADS), Ladle.of(HAND), 4000.0), heading_deg=OUTWARD_DEG + 90.0)
     path = stroke_path(Vessel.of(MORTAR), stroke, Ladle.of(HAND))
     motion = planned_stroke(planner, planner.home(), path, LAB.cell, STATION.name, MORTAR)
     way = planner.forming(planner.home(), motion.start[:7], (90.0, 82.0), _roller_rad)
@@ -187,7 +187,7 @@ def test_the_arm_can_swing_to_and_fro_at_a_station_with_either_mortar(name: str,
     bed = Bed(kind, 6000.0, BEADS)
     outward_deg = math.degrees(math.atan2(station.position_mm[1], station.position_mm[0]))
     for wanted_mg in (2000.0, 6000.0):
-        stroke, possible = chosen(bed, HAND.sheet_radius_mm, wanted_mg), []
+        stroke, possible = chosen(bed, Ladle.of(HAND), wanted_mg), []
         for aside_deg in (90.0, 240.0, 270.0, 300.0):
             path = stroke_path(Vessel.of(kind), replace(stroke, heading_deg=outward_deg + aside_deg), Ladle.of(HAND))
             try:

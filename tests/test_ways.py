@@ -5,15 +5,17 @@ import math
 import re
 import sys
 from itertools import islice
+from typing import Any
 
 import pytest
 from conftest import Call, LabFolder
 
 from harness.own_workflow import RECIPE, TREE, write_own
+from scuhand_bt.dosing.ladle import LIP_GAP_MM, Stroke
 from scuhand_bt.lab import read_lab, starter_lab
 from scuhand_bt.problems import Problem
 from scuhand_bt.report import directions
-from scuhand_bt.run import checking
+from scuhand_bt.run import checking, ways
 from scuhand_bt.run.checking import check
 
 ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
@@ -109,7 +111,7 @@ def test_a_mortar_that_cannot_be_scooped_from_anywhere_is_told_where_the_recipe_
     recipe = lab.folder / "recipes" / "one.yaml"
     recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
     (problem,) = found(lab, "no-path")
-    assert problem.message.endswith("take a deeper mortar, or a larger one")
+    assert problem.message.endswith("before the sheet is level; a depth of 15 mm would do"), "no wider one would"
     assert problem.mark.file == str(recipe)
     assert "container: dish" in recipe.read_text().splitlines()[problem.mark.line - 1]
 
@@ -123,8 +125,25 @@ def test_a_mortar_that_stands_badly_and_cannot_be_scooped_from_anywhere_is_told_
     recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
     lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[330 mm, 60 mm, 60 mm]")
     (problem,) = found(lab, "no-path")
-    assert problem.message.endswith("take a deeper mortar, or a larger one")
+    assert problem.message.endswith("would do")
     assert problem.mark.file == str(recipe)
+
+
+def test_the_stroke_for_the_smallest_dose_is_looked_at_beside_the_deepest(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that leaves a thicker layer has the arm higher: a recipe passed, and its first dose of 36 mg was lost."""
+    gaps_mm, recipe = list[float](), lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(re.sub(r"amount: \d+ g", "amount: 20 g", recipe.read_text()))
+
+    def noted(motion: Any, cell: Any, source: Any, stroke: Stroke) -> float:
+        gaps_mm.append(stroke.gap_mm)
+        return 4.0
+
+    monkeypatch.setattr(ways, "swing_and_out", noted)
+    assert blocked(lab) == []
+    first_mm, smallest_mm, *_ = gaps_mm
+    assert smallest_mm > first_mm > LIP_GAP_MM
 
 
 @pytest.mark.slow

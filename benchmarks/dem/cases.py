@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scuhand_bt.cell.scooping import planned_stroke
-from scuhand_bt.dosing.beds import bed_in, expected_mg, layer_left, strokes_in
+from scuhand_bt.dosing.beds import bed_for, expected_mg, layer_left, strokes_in
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, Stroke
 from scuhand_bt.dosing.strokes import GRAINS_CLEAR
@@ -165,8 +165,8 @@ def lip_led(
     layer, left_mg, gaps_mm, ways = None, fill_mg, list[float](), list[Way]()
     headings_deg = HEADINGS_DEG
     for _ in range(count):
-        bed = bed_in(mortar, left_mg, powder(friction_deg, grain_mm), SLANT_MM, layer)
-        for stroke in strokes_in(bed, SLANT_MM, wanted_mg, headings_deg):
+        bed = bed_for(mortar, left_mg, powder(friction_deg, grain_mm), Ladle(SLANT_MM), layer)
+        for stroke in strokes_in(bed, Ladle(SLANT_MM), wanted_mg, headings_deg):
             with suppress(SkillFailed):
                 ways.append(_planned(mortar, stroke, stroke.heading_deg, stroke.heading_deg - HEADINGS_DEG[0]))
                 break

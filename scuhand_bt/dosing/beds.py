@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 from scuhand_bt.dosing import strokes
 from scuhand_bt.dosing.jars import JarBed
-from scuhand_bt.dosing.ladle import NoStrokeError, Stroke
+from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import Bed, Layer
 from scuhand_bt.specs import Mortar, Powder
 
@@ -16,18 +16,14 @@ NARROWER_MM = (8.0, 16.0, 24.0)
 """How much narrower rims are tried where the arm can make no stroke with the widest."""
 
 
-def bed_in(
-    mortar: Mortar, mass_mg: float, powder: Powder, sheet_radius_mm: float, layer: Layer | None = None
-) -> AnyBed:
-    """So much in such a vessel, as its last strokes have left it."""
+def bed_for(mortar: Mortar, mass_mg: float, powder: Powder, ladle: Ladle, layer: Layer | None = None) -> AnyBed:
+    """So much in such a vessel, as its last strokes have left it, for such a hand."""
     if mortar.corner_mm is None:
         return Bed(mortar, mass_mg, powder, layer)
-    return JarBed(mortar, mass_mg, powder, sheet_radius_mm, layer)
+    return JarBed(mortar, mass_mg, powder, ladle, layer)
 
 
-def strokes_in(
-    bed: AnyBed, sheet_radius_mm: float, wanted_mg: float, headings_deg: Sequence[float]
-) -> Iterator[Stroke]:
+def strokes_in(bed: AnyBed, ladle: Ladle, wanted_mg: float, headings_deg: Sequence[float]) -> Iterator[Stroke]:
     """The strokes along each heading that bring so much and no more, in the order in which they are to be tried.
 
     In a bowl those with the widest rim, and then narrower ones, which bring a little less, and with which the arm is
@@ -37,11 +33,11 @@ def strokes_in(
     if isinstance(bed, JarBed):
         yield from bed.strokes(wanted_mg, headings_deg)
         return
-    widest = strokes.chosen(bed, sheet_radius_mm, wanted_mg)
+    widest = strokes.chosen(bed, ladle, wanted_mg)
     yield from (replace(widest, heading_deg=heading_deg) for heading_deg in headings_deg)
     for less_mm in NARROWER_MM:
         try:
-            narrower = strokes.chosen(bed, sheet_radius_mm, wanted_mg, widest.open_mm - less_mm)
+            narrower = strokes.chosen(bed, ladle, wanted_mg, widest.open_mm - less_mm)
         except NoStrokeError:
             return
         yield from (replace(narrower, heading_deg=heading_deg) for heading_deg in headings_deg)

@@ -67,12 +67,12 @@ CELL_MM = 2.0
 
 
 class JarBed:
-    """What is believed to lie in a beaker or a jar that a sheet of this radius scoops from."""
+    """What is believed to lie in a beaker or a jar that such a hand scoops from."""
 
     def __init__(
-        self, mortar: Mortar, mass_mg: float, powder: Powder, sheet_radius_mm: float, layer: Layer | None = None
+        self, mortar: Mortar, mass_mg: float, powder: Powder, ladle: Ladle, layer: Layer | None = None
     ) -> None:
-        self.mortar, self.mass_mg, self.powder, self._slant_mm = mortar, mass_mg, powder, sheet_radius_mm
+        self.mortar, self.mass_mg, self.powder, self._ladle = mortar, mass_mg, powder, ladle
         half_mm, corner_mm, layer = mortar.bore_mm / 2, corner_of(mortar), layer or Layer(0.0, mass_mg)
         self._layer = layer
         line_mm = np.arange(CELL_MM / 2 - half_mm, half_mm, CELL_MM)
@@ -107,12 +107,12 @@ class JarBed:
 
     def with_more(self, mass_mg: float) -> "JarBed":
         """The same, into the middle of which so much is poured."""
-        return JarBed(self.mortar, self.mass_mg + mass_mg, self.powder, self._slant_mm, self._layer)
+        return JarBed(self.mortar, self.mass_mg + mass_mg, self.powder, self._ladle, self._layer)
 
     def after(self, stroke: Stroke) -> "JarBed":
         """The same, when a stroke has brought what it is expected to."""
         left = self.left_by(stroke)
-        return JarBed(self.mortar, left.mass_mg, self.powder, self._slant_mm, left)
+        return JarBed(self.mortar, left.mass_mg, self.powder, self._ladle, left)
 
     def strokes(self, wanted_mg: float, headings_deg: Iterable[float]) -> list[Stroke]:
         """The one along each heading that is `chosen`, that brings most first."""
@@ -124,9 +124,9 @@ class JarBed:
 
         NoStrokeError where the hand can make none in such a vessel, with one of which it could.
         """
-        if not has_way(self.mortar, self._slant_mm):
-            raise _no_way(self.mortar, self._slant_mm)
-        deepest = replace(along_floor(self.mortar, self._slant_mm), heading_deg=heading_deg)
+        if not has_way(self.mortar, self._ladle):
+            raise _no_way(self.mortar, self._ladle)
+        deepest = replace(along_floor(self.mortar, self._ladle.slant_mm), heading_deg=heading_deg)
         most_mg = self.most_mg(deepest)
         if most_mg <= wanted_mg:
             return deepest
@@ -188,13 +188,13 @@ class JarBed:
 
     def _most_mm(self, one: Pass) -> Floats:
         """How thick a stroke leaves what lies there at most: no end of it where the stroke does not go."""
-        heading, (begin_mm, end_mm) = math.radians(one.heading_deg), _run_mm(self.mortar, self._slant_mm)
+        heading, (begin_mm, end_mm) = math.radians(one.heading_deg), _run_mm(self.mortar, self._ladle)
         along_mm = self._x_mm * math.cos(heading) + self._y_mm * math.sin(heading)
         aside_mm = self._y_mm * math.cos(heading) - self._x_mm * math.sin(heading)
-        stroke = along_floor(self.mortar, self._slant_mm)
+        stroke = along_floor(self.mortar, self._ladle.slant_mm)
         share = np.clip((along_mm - stroke.begin_mm) / (stroke.end_mm - stroke.begin_mm), 0.0, 1.0)
         rim_mm = (stroke.open_mm + (stroke.closed_mm - stroke.open_mm) * share) / 2
-        leans = np.arcsin(rim_mm / self._slant_mm) - math.radians(stroke.attack_deg)
+        leans = np.arcsin(rim_mm / self._ladle.slant_mm) - math.radians(stroke.attack_deg)
         off_mm = rim_mm - np.sqrt(np.maximum(rim_mm**2 - aside_mm**2, 0.0))
         goes = (np.abs(aside_mm) < rim_mm) & (along_mm > begin_mm) & (along_mm < end_mm - off_mm * np.sin(leans))
         most_mm: Floats = np.where(goes, one.left_mm + off_mm * np.cos(leans), math.inf)
@@ -252,18 +252,18 @@ def sure_doses(
     return len(doses_mg)
 
 
-def has_way(mortar: Mortar, sheet_radius_mm: float) -> bool:
+def has_way(mortar: Mortar, ladle: Ladle) -> bool:
     """Whether the hand can bring the lip along a jar's floor, whatever the arm can."""
     try:
-        _run_mm(mortar, sheet_radius_mm)
+        _run_mm(mortar, ladle)
     except NoStrokeError:
         return False
     return True
 
 
-def _no_way(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
+def _no_way(mortar: Mortar, ladle: Ladle) -> NoStrokeError:
     def first(sizes: Iterable[dict[str, float]]) -> dict[str, float]:
-        return next((size for size in sizes if has_way(mortar.model_copy(update=size), sheet_radius_mm)), {})
+        return next((size for size in sizes if has_way(mortar.model_copy(update=size), ladle)), {})
 
     bores_mm = np.arange(mortar.bore_mm, WIDEST_MM, SIZES_MM) + SIZES_MM
     depths_mm = np.arange(mortar.depth_mm, corner_of(mortar) + SIZES_MM, -SIZES_MM) - SIZES_MM
@@ -272,7 +272,7 @@ def _no_way(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
     would = [f"a bore of {wider['bore_mm']:g} mm"] if wider else []
     would += [f"a depth of {lower['depth_mm']:g} mm"] if lower else []
     return NoStrokeError(
-        f"with a sheet of {sheet_radius_mm:g} mm the hand has no way along the floor of a jar of {mortar.bore_mm:g} mm "
+        f"with a sheet of {ladle.slant_mm:g} mm the hand has no way along the floor of a jar of {mortar.bore_mm:g} mm "
         f"bore and {mortar.depth_mm:g} mm depth without touching its wall; {' or '.join(would) or 'a mortar'} would do"
     )
 
@@ -285,8 +285,8 @@ def corner_of(jar: Mortar) -> float:
 
 
 @lru_cache(maxsize=64)
-def _run_mm(mortar: Mortar, sheet_radius_mm: float) -> tuple[float, float]:
+def _run_mm(mortar: Mortar, ladle: Ladle) -> tuple[float, float]:
     """From where to where the lip goes along the floor; NoStrokeError where it cannot."""
-    path = stroke_path(Vessel.of(mortar), along_floor(mortar, sheet_radius_mm), Ladle(sheet_radius_mm))
+    path = stroke_path(Vessel.of(mortar), along_floor(mortar, ladle.slant_mm), ladle)
     lips_mm = path.lip_mm[path.on_wall, 0]
     return float(lips_mm[0]), float(lips_mm[-1])

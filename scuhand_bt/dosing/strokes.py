@@ -50,7 +50,7 @@ from itertools import chain, count
 import numpy as np
 
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
-from scuhand_bt.dosing.swing import stroke_path
+from scuhand_bt.dosing.swing import StrokePath, stroke_path
 from scuhand_bt.dosing.swing_plane import STEP_MM, Floats, least_attack_deg
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.quantity import format_mass
@@ -58,6 +58,9 @@ from scuhand_bt.specs import Mortar, Powder
 
 BEHIND_MM = 4.0
 """The lip comes to the wall so far behind the bed."""
+BEHIND_MIDDLE_MM = 4.0
+"""And so far behind the middle at least, though it comes later where the axis would have to be tilted too much:
+by the height field strokes from there bring 0.8 of what is expected, and those from beyond it 0.7 to nothing."""
 WIDEST_SHARE = 0.92
 """Of the bore, or of the flat sheet: the widest rim that a stroke begins with."""
 CLOSING_MM = 12.0
@@ -229,33 +232,37 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
     )
 
 
-def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float, widest_mm: float = math.inf) -> Stroke:
+def chosen(bed: Bed, ladle: Ladle, wanted_mg: float, widest_mm: float = math.inf) -> Stroke:
     """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be.
 
     Its rim is at most `widest_mm`.
 
     NoStrokeError where grains are so coarse that all that may be taken is less than one of them is thick, and where the
     bowl is so shallow, or so small for the sheet, that the lip leaves it before the sheet is level, whatever is taken;
-    and where the vessel, the sheet or the handle allow none with any rim.
+    where the lip cannot come to the wall behind its middle; and where the vessel, the sheet or the handle allow none
+    with any rim.
     """
-    ladle, why = Ladle(sheet_radius_mm), list[NoStrokeError]()
+    sheet_radius_mm, why = ladle.slant_mm, list[NoStrokeError]()
     widest_mm = min(widest_mm, _on_grid(WIDEST_SHARE * min(bed.mortar.bore_mm, 2 * sheet_radius_mm), RIM_GRID_MM))
     for open_mm in np.arange(widest_mm, ladle.rim_limits_mm[0] + CLOSING_MM, -RIM_GRID_MM).tolist():
         stroke = _deep_enough(bed, sheet_radius_mm, wanted_mg, open_mm)
         try:
-            if _keeps_what_it_takes(stroke, Vessel.of(bed.mortar), ladle):
-                return stroke
+            path = stroke_path(Vessel.of(bed.mortar), replace(stroke, heading_deg=0.0), ladle)
         except NoStrokeError as error:
             why.append(error)
+            continue
+        if path.lip_mm[path.on_wall][0, 0] > -BEHIND_MIDDLE_MM:
+            why.append(_beyond_middle(bed.mortar, sheet_radius_mm))
+        elif _keeps_what_it_takes(stroke, path, Vessel.of(bed.mortar)):
+            return stroke
     raise why[0] if why else _never_level(bed.mortar, sheet_radius_mm)
 
 
-def _keeps_what_it_takes(stroke: Stroke, vessel: Vessel, ladle: Ladle) -> bool:
+def _keeps_what_it_takes(stroke: Stroke, path: StrokePath, vessel: Vessel) -> bool:
     """Whether the swing goes on until the sheet is level, or the lip is where it is to leave the wall.
 
-    Where the handle stops a wide rim before, all slides out again. NoStrokeError where there is no swing.
+    Where the handle stops a wide rim before, all slides out again.
     """
-    path = stroke_path(vessel, replace(stroke, heading_deg=0.0), ladle)
     lip_mm, apex_mm = path.lip_mm[path.on_wall][-1], path.apex_mm[path.on_wall][-1]
     out_mm, _, steep = vessel.wall(np.array([min(stroke.end_mm, vessel.to_edge_mm)]))
     is_there = lip_mm[0] >= out_mm[0] - stroke.gap_mm * math.sin(steep[0]) - 2 * STEP_MM
@@ -304,12 +311,19 @@ def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: fl
     return stroke
 
 
+def _beyond_middle(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
+    return NoStrokeError(
+        f"with a sheet of {sheet_radius_mm:g} mm the lip comes to the wall of a bowl of {mortar.bore_mm:g} mm bore and "
+        f"{mortar.depth_mm:g} mm depth beyond its middle, past the powder"
+    )
+
+
 def _never_level(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
     attack_deg = _attack_deg(across(mortar, 0.0, mortar.bore_mm), mortar, sheet_radius_mm)
     edge_deg = math.degrees(math.asin(mortar.bore_mm / 2 / mortar.bowl_radius_mm))
     return NoStrokeError(
         f"a sheet of {sheet_radius_mm:g} mm meets the bowl's wall at {attack_deg:.0f} deg, which is {edge_deg:.0f} deg "
-        f"steep at its edge: the lip comes near that before the sheet is level; take a deeper mortar, or a larger one"
+        f"steep at its edge: the lip comes near that before the sheet is level"
     )
 
 

@@ -7,6 +7,7 @@ from itertools import accumulate
 from typing import Any
 
 from scuhand_bt.dosing.jars import COUNTED_ON_DEG, JarBed, after_dose, has_way
+from scuhand_bt.dosing.ladle import Ladle
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe.known import is_known, known
@@ -201,10 +202,10 @@ def _refills(
 
 def _jar(source: Source, lab: Lab) -> JarBed | None:
     """What is in a source that is a beaker or a jar; None for a bowl, and for one that no stroke can be made in."""
-    slant_mm = lab.cell.hand.sheet_radius_mm
-    if source.mortar.corner_mm is None or not has_way(source.mortar, slant_mm):
+    ladle = Ladle.of(lab.cell.hand)
+    if source.mortar.corner_mm is None or not has_way(source.mortar, ladle):
         return None
-    return JarBed(source.mortar, source.amount_mg, source.powder, slant_mm)
+    return JarBed(source.mortar, source.amount_mg, source.powder, ladle)
 
 
 def _after_dose(jar: JarBed | None, dose_mg: float, source: Source) -> JarBed | None:

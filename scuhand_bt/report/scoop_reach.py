@@ -78,7 +78,7 @@ def _looked_at(
             return str(error)
 
     try:
-        strokes = strokes_along(lab.cell, source, bed_mg, along_deg)
+        strokes = strokes_along(lab.cell, source, bed_mg, source.powder.load_limit_mg, along_deg)
     except SkillFailed as error:
         return dict.fromkeys(along_deg, str(error))
     widest = dict[float, float | str]()

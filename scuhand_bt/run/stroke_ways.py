@@ -4,14 +4,17 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
-from scuhand_bt.dosing.beds import bed_in, expected_mg, strokes_in
+from scuhand_bt.dosing.beds import bed_for, expected_mg, strokes_in
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.dosing.jars import COUNTED_ON_DEG, JarBed, sure_doses
+from scuhand_bt.dosing.jars import COUNTED_ON_DEG, SIZES_MM, WIDEST_MM, JarBed, sure_doses
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
+from scuhand_bt.dosing.strokes import scooped_for_mg
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
@@ -71,26 +74,59 @@ def _at_once_mg(source: Source) -> float:
 
 
 def stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> Stroke:
-    """What is made in such a bed; MortarCannotBeScooped where it brings less than is worth it."""
+    """What is made in such a bed; MortarCannotBeScooped, with what would do, where it brings less than is worth it."""
+    is_jar = source.mortar.corner_mm is not None
     try:
         stroke, brings_mg = _first(cell, source, bed_mg)
     except NoStrokeError as error:
-        raise MortarCannotBeScooped(source.name, str(error)) from None
-    if brings_mg < worth_mg:
+        why = str(error)
+    else:
+        if brings_mg >= worth_mg:
+            return stroke
         what, brings = f"of {format_mass(bed_mg)} a stroke in this", f"brings {format_mass(brings_mg)}"
-        why = f"{what} bowl {brings} without a heap over its edge; take a deeper mortar, or a larger one"
-        if source.mortar.corner_mm is not None:
-            why = f"{what} jar {brings}; fill in more, or take a mortar"
-        raise MortarCannotBeScooped(source.name, why)
-    return stroke
+        why = f"{what} jar {brings}; fill in more, or take a mortar"
+        if not is_jar:
+            why = f"{what} bowl {brings} without a heap over its edge"
+    if not is_jar:  # of a jar it is told with why
+        why += _would_do(cell, source, bed_mg, worth_mg)
+    raise MortarCannotBeScooped(source.name, why)
+
+
+def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> str:
+    """The nearest bore and the nearest depth with which a stroke in this bowl would be worth it; "" for none."""
+    bowl = source.mortar
+    wall_mm = bowl.outer_diameter_mm - bowl.bore_mm
+
+    def is_worth(bore_mm: float, depth_mm: float) -> bool:
+        sizes = {"bore_mm": bore_mm, "depth_mm": depth_mm, "outer_diameter_mm": bore_mm + wall_mm}
+        other = source.model_copy(update={"mortar": bowl.model_copy(update=sizes)})
+        try:
+            return bed_mg <= other.capacity_mg and _first(cell, other, bed_mg)[1] >= worth_mg
+        except NoStrokeError:
+            return False
+
+    bores_mm = np.arange(bowl.bore_mm, WIDEST_MM, SIZES_MM) + SIZES_MM
+    depths_mm = np.arange(SIZES_MM, bowl.bore_mm / 2, SIZES_MM)
+    nearest_mm = sorted(depths_mm.tolist(), key=lambda depth_mm: abs(depth_mm - bowl.depth_mm))
+    bore_mm = next((mm for mm in bores_mm.tolist() if is_worth(mm, bowl.depth_mm)), None)
+    depth_mm = next((mm for mm in nearest_mm if is_worth(bowl.bore_mm, mm)), None)
+    would = [f"a bore of {bore_mm:g} mm"] if bore_mm is not None else []
+    would += [f"a depth of {depth_mm:g} mm"] if depth_mm is not None else []
+    return f"; {' or '.join(would)} would do" if would else ""
 
 
 def _first(cell: CellSpec, source: Source, bed_mg: float) -> tuple[Stroke, float]:
     """The first stroke in such a bed, and what it should bring; NoStrokeError where there is none."""
-    slant_mm = cell.hand.sheet_radius_mm
-    bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm)
-    stroke = next(strokes_in(bed, slant_mm, source.powder.load_limit_mg, [0.0]))
-    return stroke, expected_mg(stroke, bed, slant_mm)
+    ladle = Ladle.of(cell.hand)
+    bed = bed_for(source.mortar, bed_mg, source.powder, ladle)
+    stroke = next(strokes_in(bed, ladle, source.powder.load_limit_mg, [0.0]))
+    return stroke, expected_mg(stroke, bed, ladle.slant_mm)
+
+
+def wishes_mg(demand: Demand) -> list[float]:
+    """What scoops of a plan are to bring: the most, and what its smallest dose asks for, by the highest stroke."""
+    limit_mg = demand.source.powder.load_limit_mg
+    return list(dict.fromkeys([limit_mg, min(limit_mg, scooped_for_mg(min(demand.doses_mg)))]))
 
 
 def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
@@ -99,12 +135,14 @@ def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
     return stroke_worth(cell, source, bed_mg, worth_mg)
 
 
-def strokes_along(cell: CellSpec, source: Source, bed_mg: float, along_deg: Sequence[float]) -> Iterator[Stroke]:
-    """What is tried in such a bed; MortarCannotBeScooped where nothing comes of it."""
+def strokes_along(
+    cell: CellSpec, source: Source, bed_mg: float, wanted_mg: float, along_deg: Sequence[float]
+) -> Iterator[Stroke]:
+    """What is tried in such a bed for so much; MortarCannotBeScooped where nothing comes of it."""
     stroke_in(cell, source, bed_mg)
-    slant_mm = cell.hand.sheet_radius_mm
-    bed = bed_in(source.mortar, bed_mg, source.powder, slant_mm)
-    return strokes_in(bed, slant_mm, source.powder.load_limit_mg, along_deg)
+    ladle = Ladle.of(cell.hand)
+    bed = bed_for(source.mortar, bed_mg, source.powder, ladle)
+    return strokes_in(bed, ladle, wanted_mg, along_deg)
 
 
 def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> None:
@@ -113,7 +151,7 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
     SkillFailed arm.* where the arm can make none; MortarCannotBeScooped where those that it can make are not sure to
     bring the doses, or fewer than the plan counts on before the first refill.
     """
-    source, slant_mm, why_not = demand.source, cell.hand.sheet_radius_mm, dict[tuple[float, bool], str]()
+    source, why_not = demand.source, dict[tuple[float, bool], str]()
 
     def arm_can(stroke: Stroke) -> bool:
         way = stroke.heading_deg, stroke.gap_mm <= LIP_GAP_MM  # a lip on the floor has the hand nearest to the wall
@@ -126,7 +164,7 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
         return not why_not[way]
 
     everywhere_deg = list(headings_deg(cell, source.station))
-    jar = JarBed(source.mortar, source.amount_mg, source.powder, slant_mm)
+    jar = JarBed(source.mortar, source.amount_mg, source.powder, Ladle.of(cell.hand))
     doses_mg = demand.doses_mg
     if source.refill_mg is not None:
         doses_mg = doses_mg[: max(1, sure_doses(jar, doses_mg, COUNTED_ON_DEG, is_discarded=source.is_discarded))]

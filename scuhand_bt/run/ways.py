@@ -31,6 +31,7 @@ from scuhand_bt.run.stroke_ways import (
     strokes_along,
     strokes_in_jar,
     swing_and_out,
+    wishes_mg,
 )
 from scuhand_bt.specs import ContainerKind, Mortar, Source
 
@@ -144,18 +145,18 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
 
 
 def _strokes(motion: MotionPlanner, cell: CellSpec, demand: Demand) -> None:
-    """In a mortar the first stroke of a plan and the last; in a jar as many as should bring what is needed."""
+    """In a mortar the first strokes that may be made and the last; in a jar as many as should bring what is needed."""
     if demand.source.mortar.corner_mm is not None:
         strokes_in_jar(motion, cell, demand)
         return
-    for bed_mg in _beds_mg(demand):
-        _stroke(motion, cell, demand.source, bed_mg)
+    for bed_mg, wanted_mg in itertools.product(_beds_mg(demand), wishes_mg(demand)):
+        _stroke(motion, cell, demand.source, bed_mg, wanted_mg)
 
 
-def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> None:
+def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float, wanted_mg: float) -> None:
     """A stroke in some direction, and from its end to where loads are carried from."""
     why = ""
-    for stroke in strokes_along(cell, source, bed_mg, list(headings_deg(cell, source.station))):
+    for stroke in strokes_along(cell, source, bed_mg, wanted_mg, list(headings_deg(cell, source.station))):
         try:
             swing_and_out(motion, cell, source, stroke)
         except (NoStrokeError, SkillFailed) as error:
