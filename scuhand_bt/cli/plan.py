@@ -1,6 +1,6 @@
 """The command that shows what a recipe comes to: its jobs in their order, their odds, and when a person is needed."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +16,7 @@ from scuhand_bt.cli.shared import (
     LabOption,
     RecipeArgument,
     app,
+    err,
     notes_of,
     of_kind,
     out,
@@ -23,12 +24,15 @@ from scuhand_bt.cli.shared import (
     require_can_write,
     the_plan,
 )
-from scuhand_bt.cli.study import WorkersOption, tell_odds
+from scuhand_bt.cli.study import WorkersOption, as_they_end, tell_odds
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
     from scuhand_bt.api import Lab, Plan, Sample
-    from scuhand_bt.study import Night, Odds
+    from scuhand_bt.study import Night, Odds, Trial
+
+NO_NIGHT = "; what a night holds is not told by these"
 
 
 @app.command()
@@ -51,27 +55,64 @@ def plan(
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
         require_can_write(html, "jinja2", extra="report")
-    from scuhand_bt.report import amount_cell, asked_cells, composed_lines
-
     made, opened = the_plan(recipe, lab)
     loaded = opened.lab
     hours = _night(night, trials) if night is not None else None
 
     def tried(of: "Plan") -> "Odds":
-        return _odds(of, loaded, trials, workers)
+        return _odds(of, _trials(of, loaded, trials, workers))
 
     notes = notes_of(made, opened, quiet=as_json, ways=bool(trials))
     doubts = opened.doubts(made)
-    odds = tried(made) if trials else None
-    if html is not None and odds is not None:
+    if html is not None:
+        odds = tried(made)
         persons = list(_of_persons(made, loaded, odds, hours, tried))
         _preview(made, loaded, odds, html, doubts=list(map(line_of, doubts)), persons=persons)
         return
     if as_json:
+        odds = tried(made) if trials else None
         night_values = _night_values(made, odds, hours) if odds is not None and hours is not None else None
         values = {**_plan_values(made), "odds": odds and asdict(odds), "night": night_values}
         print_json({**values, "problems": list(map(values_of, doubts)), "notes": notes})
         return
+    _tell_jobs(made)
+    out.file.flush()
+    ended, is_broken_off = [], False
+    try:
+        for one in _trials(made, loaded, trials, workers) if trials else ():
+            ended.append(one)
+    except KeyboardInterrupt:
+        is_broken_off = True
+        hours = None  # what ended first was quick, and a night would seem to hold more than it does
+    odds = _odds(made, ended) if ended else None
+    if odds is not None:
+        tell_odds(odds)
+    for doubt in doubts:
+        out.print(Text(line_of(doubt)), soft_wrap=True)
+    rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
+    out.print(f"\nSheet swaps between samples: {made.swaps}.{rough}")
+    out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
+    if all(person.job is None for person in made.persons):
+        out.print("After the start no person is needed.")
+    for person in made.persons:
+        when = odds.person_s(person.job or "") if odds is not None else None
+        first, last = (format_duration(when.low), format_duration(when.high)) if when is not None else ("", "")
+        at = f" (after {first} to {last})" if first != last else f" (after {first})" if first else ""
+        out.print(Text(f"A person is {person}{at}."))
+    if odds is not None:
+        for line in _of_persons(made, loaded, odds, hours, tried):
+            out.print(Text(line), soft_wrap=True)
+    if is_broken_off:
+        had = f"{len(ended)} of {trials} dry runs had ended, the quickest first: others may take longer"
+        told = had if ended else "no dry run had ended; with fewer --trials one ends sooner"
+        err.print(Text(f"Interrupted: {told}{NO_NIGHT if night is not None else ''}."), soft_wrap=True)
+        raise typer.Exit(ExitCode.INTERRUPTED)
+
+
+def _tell_jobs(made: "Plan") -> None:
+    """What is known without a dry run: the jobs in their order, and what they need of each source."""
+    from scuhand_bt.report import amount_cell, asked_cells, composed_lines
+
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):
         sample = job.sample
@@ -96,23 +137,6 @@ def plan(
         powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
     out.print()
     out.print(powders)
-    if odds is not None:
-        tell_odds(odds)
-    for doubt in doubts:
-        out.print(Text(line_of(doubt)), soft_wrap=True)
-    rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
-    out.print(f"\nSheet swaps between samples: {made.swaps}.{rough}")
-    out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
-    if all(person.job is None for person in made.persons):
-        out.print("After the start no person is needed.")
-    for person in made.persons:
-        when = odds.person_s(person.job or "") if odds is not None else None
-        first, last = (format_duration(when.low), format_duration(when.high)) if when is not None else ("", "")
-        at = f" (after {first} to {last})" if first != last else f" (after {first})" if first else ""
-        out.print(Text(f"A person is {person}{at}."))
-    if odds is not None:
-        for line in _of_persons(made, loaded, odds, hours, tried):
-            out.print(Text(line), soft_wrap=True)
 
 
 def _night(text: str, trials: int) -> "Night":
@@ -129,15 +153,22 @@ def _night_values(made: "Plan", odds: "Odds", hours: "Night") -> dict[str, Any]:
     return {"lasts_s": hours.lasts_s, "samples": [asdict(fate) for fate in fates(made, odds, hours)]}
 
 
-def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":
-    """By the first seeds, in the background and in the plan's order; what fails there by itself says so."""
-    from scuhand_bt.study import Setup, all_trials, executor_of, files_hash, odds_of
+def _trials(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Iterator[Trial]":
+    """By the first seeds, as they end, in the background and in the plan's order; what fails there says so itself."""
+    from scuhand_bt.study import Setup, all_trials, executor_of, files_hash
 
     recipe, folder = made.recipe.path.absolute(), loaded.folder.absolute()
     setup = Setup(recipe, folder, order=made.recipe.order, files=files_hash(recipe, folder))
     with executor_of(workers, None) as executor:
-        found = dict(all_trials([(setup, seed) for seed in range(trials)], executor))
-    return odds_of(made, [found[setup, seed] for seed in range(trials)])
+        going = all_trials([(setup, seed) for seed in range(trials)], executor)
+        for _, one in as_they_end(going, trials):
+            yield one
+
+
+def _odds(made: "Plan", ended: "Iterable[Trial]") -> "Odds":
+    from scuhand_bt.study import odds_of
+
+    return odds_of(made, sorted(ended, key=lambda one: one.seed))
 
 
 def _of_persons(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import track
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -114,7 +114,7 @@ def study(
     found: dict[Task, Trial] = {}
     with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
         going = all_trials(tasks, executor, kept)
-        for task, one in track(going, "trials", len(tasks), console=err, disable=not err.is_terminal):
+        for task, one in as_they_end(going, len(tasks)):
             found[task] = one
     ordered = [(task, found[task]) for task in tasks]
     if output is not None:
@@ -131,6 +131,13 @@ def study(
     if dominant:
         _tell_dominant(dominant, varied.design if varied is not None else "")
     out.print(Text(f"Trials are kept in {kept_in}"), soft_wrap=True)
+
+
+def as_they_end(going: "Iterator[tuple[Task, Trial]]", many: int) -> "Iterator[tuple[Task, Trial]]":
+    """So many trials, with how far they are on a terminal: how long they have gone on, before the first has ended."""
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("still"), TimeRemainingColumn())
+    with Progress(TextColumn("dry runs"), *columns, console=err, disable=not err.is_terminal) as progress:
+        yield from progress.track(going, many)
 
 
 @contextmanager
@@ -204,8 +211,8 @@ def tell_odds(odds: "Odds") -> None:
         who = f"{names[0]} is" if len(names) == 1 else f"{listed(names, 'sample')} are each"
         what = f"Warning: {who} in tolerance with a probability of {chance.probability:.0%}"
         out.print(Text(f"{what} ({chance.low:.0%} to {chance.high:.0%})."), soft_wrap=True)
-    for code, count in odds.codes.items():
-        out.print(Text(f"{code}: {count:.2g} of a run's samples."))
+    for what, count in odds.not_good.items():
+        out.print(Text(f"{what}: {count:.2g} of a run's samples."))
 
 
 def _range(found: "Range", told: Any) -> str:

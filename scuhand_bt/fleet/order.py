@@ -48,6 +48,8 @@ class Submission:
     """An order with what the queue keeps once for all orders of the same recipe, and what it needs of a station."""
 
     order: Order
+    path: Path
+    """The recipe's, as who submits it has named it."""
     files: Files
     needs: Needs
 
@@ -67,7 +69,7 @@ def submission_of(plan: Plan, *, simulated: bool, seed: int = 0) -> Submission:
         duration_s=plan.duration_s,
         by=user_name(),
     )
-    return Submission(order, files, needs_of(plan, simulated=simulated))
+    return Submission(order, recipe.path, files, needs_of(plan, simulated=simulated))
 
 
 def write(files: Files, folder: Path) -> None:

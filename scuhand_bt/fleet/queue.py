@@ -144,7 +144,7 @@ def choose(submitted: Sequence[Submission], known: Sequence[KnownStation], only:
         if not able:
             what = "no station can do it" if stations else "there is no station" if only is None else "no such station"
             whys = [f"at {name} {'; '.join(lack)}" for name, lack in lacks.items()]
-            where = Mark(order.file if only is None or stations else f"--station {only}", 0)
+            where = Mark(str(one.path) if only is None or stations else f"--station {only}", 0)
             problems.append(Problem(where, ": ".join([what, "; ".join(whys)]) if whys else what))
             continue
         able.sort(key=lambda station: (not station.is_there, ahead_s[station.name], station.name))

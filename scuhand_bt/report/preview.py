@@ -51,7 +51,7 @@ def preview_page(
         powder_columns=_powder_columns(odds),
         powders=list(_powders(plan, odds)),
         doubts=doubts,
-        failures=[(code, f"{count:.2g}") for code, count in odds.codes.items()],
+        failures=[(what, f"{count:.2g}") for what, count in odds.not_good.items()],
         persons=list(_persons(plan, odds)),
         of_persons=of_persons,
         packed=viewer.packed(

@@ -39,7 +39,7 @@ def plot_study(
         what: {f"{at}: {name}": mean for at, one in found.items() for name, mean in one.get("means", {}).items()}
         for what, found in depends.items()
     }
-    lines = [min(len(odds.samples), MOST_NAMED), max(len(trials[0].used_mg), len(odds.codes))]
+    lines = [min(len(odds.samples), MOST_NAMED), max(len(trials[0].used_mg), len(odds.not_good))]
     lines += [max(len(places) for places in found.values()) for found in (ranked, named) if any(found.values())]
     heights_in = [max(LEAST_IN, 1.2 + LINE_IN * many) for many in lines]
     figure = Figure(figsize=(12.0, sum(heights_in)), layout="constrained")
@@ -50,7 +50,7 @@ def plot_study(
     _draw_time(time, odds, trials)
     _draw_chances(chances, odds)
     _draw_powder(powder, trials)
-    _bars(failures, odds.codes, "what failed" if odds.codes else "nothing failed", "samples a run", RED)
+    _bars(failures, odds.not_good, "what failed" if odds.not_good else "nothing failed", "samples a run", RED)
     failures.set_xlim(left=0.0)
     if any(ranked.values()):
         for axes, (what, places) in zip(others[0], ranked.items(), strict=True):

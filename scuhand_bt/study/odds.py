@@ -86,7 +86,9 @@ class Odds:
     leftovers_mg: Mapping[str, Mapping[str, Range]]
     """By source and by what became of it, the same for each, the powder that was left in the cone after doses."""
     codes: Mapping[str, float]
-    """How many samples of a run fail so, on average; the most frequent first."""
+    """How many samples of a run fail with a code, on average; the most frequent first."""
+    verdicts: Mapping[str, float]
+    """How many are not good without a failure, by what their weighings say, likewise; `in tolerance`: unconfirmed."""
 
     def person_s(self, job: str) -> Range | None:
         """When a person is needed in a job; where no trial has asked for one, when it begins, if any has begun it."""
@@ -96,6 +98,13 @@ class Odds:
     def tells_intervals(self) -> bool:
         """Whether the ranges are where `COVERED` of runs are to be expected, not only what so few trials had."""
         return self.trials >= FEWEST
+
+    @property
+    def not_good(self) -> dict[str, float]:
+        """How many samples of a run are not good, by what a person reads of it: `codes`, then `verdicts`."""
+        words = {"in tolerance": "verdict 'in tolerance', not confirmed"}
+        told = {words.get(one, f"verdict '{one}', no failure"): many for one, many in self.verdicts.items()}
+        return {**self.codes, **told}
 
     @property
     def unlikely(self) -> list[str]:
@@ -108,7 +117,9 @@ def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> O
     """The odds of a plan by its trials, at least one; `as_written`: what each sample asks for is the same in all."""
     vessels = sorted({kind for trial in found for mg in trial.leftovers_mg.values() for kind in mg} - {*LEFTOVERS})
     first_asked_s = [min(trial.asked_s.values(), default=math.inf) for trial in found]
-    codes = Counter(one.code or one.verdict for trial in found for one in trial.samples if not one.good)
+    bad = [one for trial in found for one in trial.samples if not one.good]
+    codes = Counter(one.code for one in bad if one.code is not None)
+    verdicts = Counter(one.verdict for one in bad if one.code is None)
     ends_s = [_ends_s(trial) for trial in found]
     samples = _chances(plan, found, as_written=as_written)
     asked = [one.id for trial in found for one in trial.samples]
@@ -138,6 +149,7 @@ def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> O
             for name in plan.recipe.sources
         },
         codes={code: count / len(found) for code, count in codes.most_common()},
+        verdicts={verdict: count / len(found) for verdict, count in verdicts.most_common()},
     )
 
 
