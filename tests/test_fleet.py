@@ -154,14 +154,16 @@ def test_an_order_goes_where_least_is_before_it_and_to_who_is_not_there_last(ord
     assert choose([order], stations, only="busy")[0].order.stations == ("busy",)
 
 
-def test_an_order_that_no_station_can_do_says_what_is_missing_where(order: Submission, offer: Offer) -> None:
+def test_an_order_that_no_station_can_do_says_what_is_missing_where(
+    order: Submission, offer: Offer, plan: Plan
+) -> None:
     bare = offer.model_copy(update={"names": {**offer.names, "powder": (), "mortar": ()}})
     stations = [known(bare, "bare", 0.0), known(offer.model_copy(update={"simulated": False}), "real", 0.0)]
     with pytest.raises(SourceError) as error:
         choose([order], stations)
     assert str(error.value) == (
-        "queued.yaml: no station can do it: at bare it has no powder 'glass_beads'; it has no mortar 'agate_mortar'; "
-        "at real it is a real one, and simulated devices are asked for"
+        f"{plan.recipe.path}: no station can do it: at bare it has no powder 'glass_beads'; it has no mortar "
+        "'agate_mortar'; at real it is a real one, and simulated devices are asked for"
     )
     for only, words in ((None, "there is no station"), ("nowhere", "no such station")):
         with pytest.raises(SourceError, match=words):

@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +37,7 @@ from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.store import open_store
 from scuhand_bt.study.table import write_table
-from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
+from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial, trial
 from scuhand_bt.study.vary import Vary, goes_with, means_of, read_vary
 from tests.conftest import REPOSITORY, Call, LabFolder
 
@@ -625,6 +625,52 @@ def fake(seed: int, duration_s: float, good: str) -> Trial:
     )  # fmt: skip
     scoops, left_mg = {"beads": 1 + seed % 2}, {"beads": {"kept": 100.0}}
     return Trial(seed, 0, duration_s, {"a": 0.0, "b": 100.0}, samples, scoops, {"beads": 200.0}, left_mg)
+
+
+@pytest.mark.parametrize(
+    ("had", "said"),
+    [
+        ((2, 0), "2 of 5 dry runs had ended, the quickest first: others may take longer"),
+        ((), "no dry run had ended; with fewer --trials one ends sooner"),
+    ],
+)
+def test_a_ctrl_c_tells_what_a_plan_has_come_to_so_far(
+    setup: Setup, command: Call, monkeypatch: pytest.MonkeyPatch, had: tuple[int, ...], said: str
+) -> None:
+    def broken_off(tasks: Sequence[Task], executor: Executor) -> Iterator[tuple[Task, Trial]]:
+        for seed in had:
+            yield tasks[seed], fake(seed, 600.0, "ab")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("scuhand_bt.study.all_trials", broken_off)
+    asked = ("plan", setup.recipe, "--trials", 5, "--night", "20:00-08:00")
+    ended = command(*asked)
+    assert ended.returncode == 130
+    assert f"Interrupted: {said}; what a night holds is not told by these.\n" in ended.stderr
+    assert "finish the batch" in ended.stdout, "the jobs stand there before any dry run has ended"
+    assert ("By 2 dry runs" in ended.stdout, "Roughly" in ended.stdout) == (bool(had), not had)
+    assert "After the start no person is needed." in ended.stdout
+    assert "In a night" not in ended.stdout
+    assert "what a night holds" not in command(*asked[:4]).stderr, "who has not asked for one"
+    as_json = command(*asked, "--json")
+    assert (as_json.returncode, as_json.stdout) == (130, ""), "what reads it would take it for the whole"
+
+
+def test_verdicts_without_a_failure_are_told_apart_from_what_failed(setup: Setup) -> None:
+    lab = load_lab(setup.lab)
+    plan = make_plan(load_recipe(setup.recipe, lab), lab)
+    failed = fake(0, 600.0, "a")
+    b, c = (
+        replace(one, code=None, verdict=word)
+        for one, word in zip(failed.samples[1:], ("over", "in tolerance"), strict=True)
+    )
+    odds = odds_of(plan, [failed, replace(failed, seed=1, samples=(failed.samples[0], b, c))])
+    assert (odds.codes, odds.verdicts) == ({"dose.overshoot": 1.0}, {"over": 0.5, "in tolerance": 0.5})
+    assert odds.not_good == {
+        "dose.overshoot": 1.0,
+        "verdict 'over', no failure": 0.5,
+        "verdict 'in tolerance', not confirmed": 0.5,
+    }
 
 
 def test_odds_hold_alike_samples_together_and_warn_of_those_that_fail(setup: Setup) -> None:

@@ -135,7 +135,7 @@ def study(
 
 def as_they_end(going: "Iterator[tuple[Task, Trial]]", many: int) -> "Iterator[tuple[Task, Trial]]":
     """So many trials, with how far they are on a terminal: how long they have gone on, before the first has ended."""
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("still"), TimeRemainingColumn())
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("left"))
     with Progress(TextColumn("dry runs"), *columns, console=err, disable=not err.is_terminal) as progress:
         yield from progress.track(going, many)
 
