@@ -64,6 +64,7 @@ def plan(
 
     notes = notes_of(made, opened, quiet=as_json, ways=bool(trials))
     doubts = opened.doubts(made)
+    odds: Odds | None
     if html is not None:
         odds = tried(made)
         persons = list(_of_persons(made, loaded, odds, hours, tried))
