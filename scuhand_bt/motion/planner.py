@@ -208,7 +208,7 @@ class MotionPlanner:
             self._store.write()
 
     def let_go(self) -> None:
-        """Give back most of its memory, the cell's scenes; whoever asks for a motion then waits until they are built."""
+        """Give back most of its memory, the scenes; whoever asks for a motion then waits until they are built anew."""
         self._scenes.let_go()
 
     @contextmanager
