@@ -1,6 +1,7 @@
 import gc
 import itertools
 import re
+import weakref
 
 import numpy as np
 import pytest
@@ -349,3 +350,25 @@ def test_what_is_kept_for_cones_of_many_sizes_does_not_grow(planner):
         assert len([one for one in kept if one.arm_shapes]) < 60
         del several, kept
     assert counts[1] < 1.02 * counts[0]
+
+
+def test_a_planner_that_nobody_has_any_more_is_gone_at_once():
+    """Python counts few objects in it, and would collect its scenes late."""
+    several, gone = new_planner(), []
+    weakref.finalize(several, gone.append, True)
+    gc.disable()
+    try:
+        del several
+        assert gone
+    finally:
+        gc.enable()
+
+
+def test_what_has_let_go_of_its_scenes_builds_them_again(planner):
+    several = new_planner()
+    scene = weakref.ref(several.scene())
+    several.let_go()
+    gc.collect()
+    assert scene() is None
+    start = several.home()
+    assert np.array_equal(several.move(start, "waste").coefficients, planner.move(start, "waste").coefficients)

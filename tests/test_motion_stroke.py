@@ -1,6 +1,8 @@
 """A stroke of arm and roller at a mortar of the starter lab: one motion, proven, along the wall."""
 
+import gc
 import math
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +18,8 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, Mount, apex
 from scuhand_bt.motion.axes import of_arm, of_roller
+from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.scenes import STROKES_KEPT
 from scuhand_bt.motion.slowing import slowed
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import with_roller
@@ -178,6 +182,22 @@ def test_a_stroke_that_is_asked_for_again_has_the_answer_that_it_had(
             planned_stroke(planner, planner.home(), far, LAB.cell, STATION.name, MORTAR)
         whys.append((failed.value.code, failed.value.detail))
     assert whys == [("arm.unreachable", "the arm cannot reach all of it")] * 2
+
+
+def test_strokes_that_cannot_be_do_not_hold_the_scenes_that_they_were_looked_for_in(path: StrokePath) -> None:
+    planner = LAB.motion_planner({STATION.name: MORTAR})
+    far, home = replace(path, apex_mm=path.apex_mm + 900.0 * UP), planner.home()
+
+    def scenes() -> int:
+        gc.collect()
+        return sum(isinstance(one, Scene) for one in gc.get_objects())
+
+    before = scenes()
+    for narrower_mm in range(STROKES_KEPT + 2):
+        with suppress(SkillFailed):
+            other = replace(far, rim_mm=far.rim_mm - narrower_mm)
+            planned_stroke(planner, home, other, LAB.cell, STATION.name, MORTAR)
+    assert scenes() - before == STROKES_KEPT
 
 
 @pytest.mark.parametrize(("name", "mortar"), [("mortar_bay", "agate_mortar"), ("mortar_bay_2", "small_agate_mortar")])

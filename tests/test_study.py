@@ -858,7 +858,7 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
     one = " ".join(command("plan", setup.recipe, "--trials", 1).stdout.split())
     assert re.search(r"By 1 dry run, which tells no interval: it takes [^(]+\. ", one)
     told = (
-        r"wipe rollers and clamp \(after [\d a-z]+\)\. So a person comes 2 times: for the start, and \d[\d a-z]+ after"
+        r"wipe rollers and clamp \(after [\d a-z]+\)\. So a person comes 1 time: from the start until \d[\d a-z]+ after"
     )
     assert re.search(told, one)
     found = json.loads(command("plan", setup.recipe, "--trials", 1, "--json").stdout)

@@ -113,7 +113,10 @@ class Scene:
         self._foremost = _foremost(arm, shapes, [solid for solid in solids if solid.name not in touchable])
         # From here on the models are complete; only now may data be made of them.
         self._data = self.model.createData()
-        self._shape_data = pin.GeometryData(self.shapes)
+
+    @cached_property
+    def _shape_data(self) -> pin.GeometryData:
+        return pin.GeometryData(self.shapes)
 
     @cached_property
     def _pool(self) -> Pool:

@@ -20,13 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
+from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import explain
 from scuhand_bt.motion.answers import Answers, Way
 from scuhand_bt.motion.arm_model import Arm
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.contact import contact_motion, with_seams
+from scuhand_bt.motion.decomposed import DecomposedArm
 from scuhand_bt.motion.inverse import nearest_configuration, solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.occupancy import SEEN, VOXEL_M, Occupancy
@@ -74,6 +75,7 @@ class MotionPlanner:
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
         self._places = Places(self._scenes, cell.hand, arm.decomposed, self.rates, _visits_rad(cell))
+        self._mount_in = partial(_mounted, cell.hand, arm.decomposed)
         self._answers = Answers(self._scenes, self._places, self._pace, self._mount_in, self._store)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
         self._reforms: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
@@ -205,6 +207,10 @@ class MotionPlanner:
         if self._store is not None:
             self._store.write()
 
+    def let_go(self) -> None:
+        """Give back most of its memory, the scenes; whoever asks for a motion then waits until they are built anew."""
+        self._scenes.let_go()
+
     @contextmanager
     def _as_if(self, geometry: Geometry) -> Iterator[None]:
         present, self._geometry = self._geometry, geometry
@@ -314,7 +320,7 @@ class MotionPlanner:
                 motion = self._pace.borne(stroke_motion(begin, poses, scene, rates, mount), mount)
                 return self._pace.stoppable(motion, mount, rates)
             except SkillFailed as failure:  # as expensive as a stroke that there is, and asked for as often
-                return failure
+                return SkillFailed(failure.code, failure.detail)  # the caught one holds its frames, and so this scene
 
         found = self._strokes.of((begin.tobytes(), poses.digest, tuple(rims_mm), station, self._geometry), made)
         if isinstance(found, SkillFailed):
@@ -344,9 +350,6 @@ class MotionPlanner:
     def _mount(self) -> Mount:
         """How the hand holds the cone of the present geometry."""
         return self._mount_in(self._geometry)
-
-    def _mount_in(self, geometry: Geometry) -> Mount:
-        return self.mount(1e3 * geometry.cone_diameter_m)
 
     @property
     def joints(self) -> int:
@@ -383,6 +386,10 @@ class MotionPlanner:
 
     def _posture(self, place: str) -> Floats:
         return self._places.posture(place, self._geometry)
+
+
+def _mounted(hand: HandSpec, arm: DecomposedArm | None, geometry: Geometry) -> Mount:
+    return Mount.of(hand, 1e3 * geometry.cone_diameter_m, arm)
 
 
 def _visits_rad(cell: CellSpec) -> dict[str, Floats]:

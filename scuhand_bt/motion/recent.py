@@ -9,7 +9,7 @@ Answer = TypeVar("Answer")
 
 
 class Recent(Generic[Asked, Answer]):
-    """At most so many answers are kept; the one that was not asked for longest goes first."""
+    """At most so many answers are kept, the next one's making included; what was not asked for longest goes first."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -20,9 +20,13 @@ class Recent(Generic[Asked, Answer]):
         if asked in self._answers:
             self._answers.move_to_end(asked)
             return self._answers[asked]
+        self._make_room()  # an answer may be large, and another one beside all that are kept too much
         answer = make()
         if is_kept():
+            self._make_room()  # what made it may have asked as well
             self._answers[asked] = answer
-        if len(self._answers) > self._most:
-            self._answers.popitem(last=False)
         return answer
+
+    def _make_room(self) -> None:
+        if len(self._answers) >= self._most:
+            self._answers.popitem(last=False)

@@ -1,6 +1,7 @@
 """The cell's scenes: the arm with one size of cone among what stands there, built when first needed.
 
-The last ones are kept, as one stroke's is asked for in each of its directions; each holds a megabyte or two.
+The last ones are kept, as one stroke's is asked for in each of its directions; each holds a megabyte or two, 20 where a
+mortar may be touched.
 
 Lengths in metres.
 """
@@ -24,7 +25,8 @@ MARGIN_M = 0.005
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
 SCENES_KEPT, STROKES_KEPT = 12, 2
-"""A mortar that may be touched is two hundred solids, and its stroke's scene five times as large as another."""
+"""A mortar that may be touched is two hundred solids: its scene has fifteen times as many pairs as another, each of
+which takes 6 kB in every pool."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,10 @@ class Scenes:
         self._mortars = {self._station(name).name: mortar for name, mortar in mortars.items()}
         self._bench = cell_solids.solids_of(cell.geometry)
         self._zones = {zone.name: cell_solids.solids_of([zone]) for zone in cell.zones}
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Keep none of those that were built; what is asked for is built anew."""
         self._scenes: Recent[_Asked, Scene] = Recent(SCENES_KEPT)
         self._of_strokes: Recent[_Asked, Scene] = Recent(STROKES_KEPT)
         self._seen: Recent[tuple[float, Occupancy], Scene] = Recent(STROKES_KEPT)

@@ -90,7 +90,7 @@ class Session:
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
         lab = replace(lab, cell=lab.cell.slowed(options.slow_ratio))
         self._lab, self._options, self._has_run = lab, options, threading.Lock()
-        self._substitutes = substitutes
+        self._substitutes, self._shares_motion = substitutes, motion is not None
         self._history = resumes.history if resumes is not None else None
         self._account: list[RuleAccount] = []
         if resumes is None:
@@ -346,6 +346,8 @@ class Session:
             closing.callback(self._records.anchor_end)
             closing.callback(self.journal.close)
             closing.callback(self._records.finish_telling)
+            if not self._shares_motion:  # whoever keeps the session, and until Python collects its cycles
+                closing.callback(self.cell.motion.let_go)
             closing.callback(self.cell.motion.keep_plans)
             closing.callback(self._close_cell)
 

@@ -46,12 +46,14 @@ def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]
     found = list(stays(plan, odds))
     if not found:
         return
-    times = []
+    goes_between = found[0].from_s > APART_S
+    times = ["for the start"] if goes_between else []
     for stay in found:
         told = format_duration if night is None else night.clock
-        first, last = told(stay.from_s), told(stay.until_s)
+        first, last = "the start" if not times else told(stay.from_s), told(stay.until_s)
         at = "at " if night is not None else ""
-        span = f"from {first} to {last}" if first != last else f"{at}{first}"
+        span = f"from {first} {'to' if times else 'until'} {last}" if first != last else f"{at}{first}"
         span += " after it" if night is None else ""
         times.append(f"{span} ({counted(len(stay.jobs), 'moment')})")
-    yield f"So a person comes {len(found) + 1} times: for the start, and {', '.join(times)}."
+    *before, end = times
+    yield f"So a person comes {counted(len(times), 'time')}: {', '.join(before)}{', and ' if before else ''}{end}."
