@@ -28,7 +28,7 @@ from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.swing_plane import least_attack_deg
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import HeightField
-from scuhand_bt.specs import Mortar, Source
+from scuhand_bt.specs import Mortar, Powder, Source
 
 MORTAR = Mortar(name="agate", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer_diameter_mm=115.0)
 SMALL = Mortar(name="small", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0)
@@ -428,3 +428,29 @@ def test_less_than_what_lies_beside_and_comes_along_is_no_wish_that_cannot_be_me
     bed = Bed(SMALL, 12_000.0, BEADS, Layer(2.0, 7000.0, beside_mg=5000.0))
     stroke = chosen(bed, LADLE, 300.0)
     assert 300.0 < expected_mg(stroke, bed, SHEET_MM) < 0.51 * 5000.0
+
+
+HEAVY = BEADS.model_copy(update={"bulk_density_mg_per_mm3": 2.5, "load_limit_mg": 2000.0, "repose_deg": 40.0})
+LIGHT = BEADS.model_copy(update={"bulk_density_mg_per_mm3": 1.23, "load_limit_mg": 1500.0, "repose_deg": 47.0})
+
+
+@pytest.mark.parametrize(
+    ("mortar", "powder", "fill_mg"),
+    [
+        (MORTAR, HEAVY, 5000.0),
+        (SMALL, LIGHT, 2445.0),
+        (Mortar(name="bowl", bore_mm=73.4, depth_mm=26.2, height_mm=34.0, outer_diameter_mm=94.0), LIGHT, 2445.0),
+    ],
+)
+def test_of_a_thin_bed_a_sheet_that_bends_brings_no_more_than_may_be_carried(
+    mortar: Mortar, powder: Powder, fill_mg: float
+) -> None:
+    stroke = chosen(Bed(mortar, fill_mg, powder), LADLE, 0.95 * powder.load_limit_mg)
+    loads_mg, _ = through(stroke, HeightField(mortar, powder), fill_mg, mortar)
+    assert 0.5 * powder.load_limit_mg < loads_mg < 1.15 * powder.load_limit_mg
+
+
+def test_where_half_a_millimetre_is_more_than_the_load_limit_a_stroke_is_made_that_should_keep_it() -> None:
+    powder = HEAVY.model_copy(update={"load_limit_mg": 300.0})
+    bed = Bed(MORTAR, 8000.0, powder)
+    assert 30.0 < expected_mg(chosen(bed, LADLE, 285.0), bed, SHEET_MM) <= 285.0

@@ -91,6 +91,10 @@ SLIPS = 0.033
 """By discrete elements: 1.06 g, where without it 1.48 g were expected of a bowl of 35 mm and a sheet of 50 mm."""
 SIDES_MM = 0.4
 """S: how much thicker at the bore's edge is what strokes with a gap leave. By the height field."""
+BENDS_MM = 0.5
+"""How far the sheet may bend down to the wall: assumed, not measured. Strokes are expected to bring what a rigid one does."""
+BENT_LIMIT = 1.1
+"""Times the load limit that one which bends may bring: it varies as much."""
 SPARE, SPARE_MG = 2.0, 2000.0
 """Times what is to be dosed that a scoop is to bring, and so much more."""
 LAST_SHARE = 1 / 3
@@ -192,6 +196,12 @@ class Bed:
         above_mm = np.maximum(self._thick_mm - left_mm, 0.0)
         return self._mass_mg(above_mm - np.minimum(slip_mm, above_mm / 3))
 
+    def above_bent_mg(self, gap_mm: float, rim_mm: float) -> float:
+        """What is farther from the wall than a rim that has bent down to it, which is narrower than the bowl."""
+        narrower = max(0.0, 2 / rim_mm - 1 / self.mortar.bowl_radius_mm)
+        left_mm = max(0.0, gap_mm - BENDS_MM) + narrower * self._out_mm**2 / 4
+        return self._mass_mg(np.maximum(self._thick_mm - left_mm, 0.0))
+
     def _mass_mg(self, thick_mm: Floats) -> float:
         return self.powder.bulk_density_mg_per_mm3 * float(thick_mm @ self._area_mm2)
 
@@ -278,8 +288,16 @@ def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: fl
     # What lies beside comes along at any gap: no less than that can be asked for.
     wanted_mg = max(wanted_mg, _found_mg(deepest, bed, sheet_radius_mm))
 
+    little_mg = LITTLE_SHARE * min(wanted_mg, bed.mass_mg)
+    bent_limit_mg = BENT_LIMIT * bed.powder.load_limit_mg
+
     def may_be(ended: Stroke) -> bool:
-        return ended.end_mm >= level_mm and most_mg(ended, bed, sheet_radius_mm) <= wanted_mg
+        brings_mg = most_mg(ended, bed, sheet_radius_mm)
+        return (
+            ended.end_mm >= level_mm
+            and brings_mg <= wanted_mg
+            and (brings_mg <= little_mg or _bent_mg(ended, bed, sheet_radius_mm) <= bent_limit_mg)
+        )
 
     def first(strokes: Iterable[Stroke]) -> Stroke:
         for stroke in strokes:
@@ -296,7 +314,6 @@ def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: fl
                 return
 
     stroke = first(chain([whole], layered(GRAINS_CLEAR)))
-    little_mg = LITTLE_SHARE * min(wanted_mg, bed.mass_mg)
     if most_mg(stroke, bed, sheet_radius_mm) < little_mg:
         stroke = first(layered(GRAINS_LEAST))
     deeper_mm = stroke.gap_mm - GAP_GRID_MM
@@ -339,6 +356,12 @@ def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
     above_mg = bed.above_mg(_left_mm(stroke, bed.powder), slip_mm(stroke, bed.mortar, sheet_radius_mm))
     return strip * above_mg + _found_mg(stroke, bed, sheet_radius_mm)
+
+
+def _bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
+    """What a stroke brings if the sheet bends and nothing slips past it: of a thin bed far more than is expected."""
+    above_mg = bed.above_bent_mg(_left_mm(stroke, bed.powder), (stroke.open_mm + stroke.closed_mm) / 2)
+    return (1.0 - _falls_back(stroke, bed, sheet_radius_mm)) * above_mg
 
 
 def _found_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
