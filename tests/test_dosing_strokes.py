@@ -451,6 +451,7 @@ def test_of_a_thin_bed_a_sheet_that_bends_brings_no_more_than_may_be_carried(
 
 
 def test_where_half_a_millimetre_is_more_than_the_load_limit_a_stroke_is_made_that_should_keep_it() -> None:
-    powder = HEAVY.model_copy(update={"load_limit_mg": 300.0})
-    bed = Bed(MORTAR, 8000.0, powder)
-    assert 30.0 < expected_mg(chosen(bed, LADLE, 285.0), bed, SHEET_MM) <= 285.0
+    bowl = Mortar(name="bowl", bore_mm=110.0, depth_mm=34.0, height_mm=42.0, outer_diameter_mm=130.0)
+    powder = HEAVY.model_copy(update={"bulk_density_mg_per_mm3": 4.0, "load_limit_mg": 300.0})
+    bed = Bed(bowl, 20_000.0, powder)
+    assert 0.2 * 300.0 < expected_mg(chosen(bed, Ladle(60.0), 285.0), bed, 60.0) <= 285.0

@@ -92,9 +92,9 @@ SLIPS = 0.033
 SIDES_MM = 0.4
 """S: how much thicker at the bore's edge is what strokes with a gap leave. By the height field."""
 BENDS_MM = 0.5
-"""How far the sheet may bend down to the wall: assumed, not measured. Strokes are expected to bring what a rigid one does."""
+"""How far the sheet may bend down to the wall: assumed, not measured. What is expected is a rigid one's."""
 BENT_LIMIT = 1.1
-"""Times the load limit that one which bends may bring: it varies as much."""
+"""Times the load limit that a stroke of a sheet which bends may bring: loads vary as much."""
 SPARE, SPARE_MG = 2.0, 2000.0
 """Times what is to be dosed that a scoop is to bring, and so much more."""
 LAST_SHARE = 1 / 3
