@@ -289,14 +289,14 @@ def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: fl
     wanted_mg = max(wanted_mg, _found_mg(deepest, bed, sheet_radius_mm))
 
     little_mg = LITTLE_SHARE * min(wanted_mg, bed.mass_mg)
-    bent_limit_mg = BENT_LIMIT * bed.powder.load_limit_mg
+    bent_limit_mg = BENT_LIMIT * max(wanted_mg, bed.powder.load_limit_mg)
 
     def may_be(ended: Stroke) -> bool:
         brings_mg = most_mg(ended, bed, sheet_radius_mm)
         return (
             ended.end_mm >= level_mm
             and brings_mg <= wanted_mg
-            and (brings_mg <= little_mg or _bent_mg(ended, bed, sheet_radius_mm) <= bent_limit_mg)
+            and (brings_mg <= little_mg or bent_mg(ended, bed, sheet_radius_mm) <= bent_limit_mg)
         )
 
     def first(strokes: Iterable[Stroke]) -> Stroke:
@@ -358,7 +358,7 @@ def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     return strip * above_mg + _found_mg(stroke, bed, sheet_radius_mm)
 
 
-def _bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
+def bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What a stroke brings if the sheet bends and nothing slips past it: of a thin bed far more than is expected."""
     above_mg = bed.above_bent_mg(_left_mm(stroke, bed.powder), (stroke.open_mm + stroke.closed_mm) / 2)
     return (1.0 - _falls_back(stroke, bed, sheet_radius_mm)) * above_mg
