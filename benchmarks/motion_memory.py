@@ -19,9 +19,10 @@ from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.places import over_balance, over_mortar
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
+from scuhand_bt.dosing.bed import Bed
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.ladle import Ladle, NoStrokeError
-from scuhand_bt.dosing.strokes import Bed, chosen
+from scuhand_bt.dosing.strokes import chosen
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed

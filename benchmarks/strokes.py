@@ -29,8 +29,9 @@ from harness.roller_kill import RECIPE, OfSession, Twins, keep_twins, make_lab_o
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.clock import Steps
+from scuhand_bt.dosing.bed import Bed
 from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
-from scuhand_bt.dosing.strokes import Bed, chosen
+from scuhand_bt.dosing.strokes import chosen
 from scuhand_bt.dosing.swing import StrokePath, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed

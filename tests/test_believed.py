@@ -15,8 +15,8 @@ from pydantic import TypeAdapter
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.believed_powder import InVessel
 from scuhand_bt.cell.pan_bracket import ClosedBracket
+from scuhand_bt.dosing.bed import Layer
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
-from scuhand_bt.dosing.strokes import Layer
 from scuhand_bt.specs import Source
 
 POWDERS = shipped_powders()

@@ -12,14 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.dosing.bed import Bed, Layer
 from scuhand_bt.dosing.beds import strokes_in
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import (
     BENT_LIMIT,
     GRAINS_CLEAR,
     LITTLE_SHARE,
-    Bed,
-    Layer,
     bent_mg,
     chosen,
     expected_mg,

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from scuhand_bt.cell.scooping import planned_stroke
+from scuhand_bt.dosing.bed import Bed
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.ladle import Ladle, Stroke
-from scuhand_bt.dosing.strokes import Bed, chosen
+from scuhand_bt.dosing.strokes import chosen
 from scuhand_bt.dosing.swing import StrokePath, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed

@@ -20,8 +20,8 @@ from scuhand_bt.cell.believed_powder import BelievedPowder, Counts, count, mass
 from scuhand_bt.cell.load import BARREN_MG
 from scuhand_bt.cell.pan_bracket import Bracket, ClosedBracket
 from scuhand_bt.device_specs.changer import ChangerSpec
+from scuhand_bt.dosing.bed import Layer
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
-from scuhand_bt.dosing.strokes import Layer
 from scuhand_bt.specs import Container, Source
 
 COMES_MG = 1.0

@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeAlias
 
 from scuhand_bt.cell.load import BARREN_MG, HIDDEN, SURPLUS, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY
-from scuhand_bt.dosing.strokes import Layer
+from scuhand_bt.dosing.bed import Layer
 from scuhand_bt.specs import Source
 
 Counts: TypeAlias = Annotated[Mapping[str, int], READ_ONLY, AS_WRITTEN]

@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from scuhand_bt.dosing import strokes
+from scuhand_bt.dosing.bed import Bed, Layer
 from scuhand_bt.dosing.jars import JarBed
 from scuhand_bt.dosing.ladle import Ladle, NoStrokeError, Stroke
-from scuhand_bt.dosing.strokes import Bed, Layer
 from scuhand_bt.specs import Mortar, Powder
 
 AnyBed: TypeAlias = Bed | JarBed

@@ -26,6 +26,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from scuhand_bt.dosing.bed import THIN_MM, Layer, Pass
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import (
     CLOSING_MM,
@@ -37,9 +38,6 @@ from scuhand_bt.dosing.strokes import (
     LOAD_AIM,
     LOOSE_GRAINS,
     RIM_GRID_MM,
-    THIN_MM,
-    Layer,
-    Pass,
     scooped_for_mg,
 )
 from scuhand_bt.dosing.swing import stroke_path

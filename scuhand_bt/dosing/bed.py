@@ -1,0 +1,127 @@
+"""What is believed to lie in a mortar, as its last strokes have left it.
+
+A lip that follows the wall at a gap takes what lies above that, and leaves a layer, not a level bed. Strokes are
+turned, but their rims are narrower than the bowl, and higher beside the lip: at the share r of the bore the layer is
+
+    g = gap + S r^2 where the wall is less steep than the repose rho, else the gap
+
+thick at the most. So its thickness t, across the wall, is where that is h high and phi steep
+
+    t = min(g, (level - h) cos phi),    level so that  m = density sum(t dA)
+
+What has come since lies level on the layer, t = max(t, (level' - h) cos phi), as all of it does in a bed that was never
+scooped from. Masses in mg, lengths in mm.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scuhand_bt.dosing.ladle import LIP_GAP_MM
+from scuhand_bt.dosing.swing_plane import Floats
+from scuhand_bt.specs import Mortar, Powder
+
+SIDES_MM = 0.4
+"""S: how much thicker at the bore's edge is what strokes with a gap leave. By the height field."""
+BENDS_MM = 0.5
+"""How far the sheet may bend down to the wall: assumed, not measured. What is expected is a rigid one's."""
+RINGS = 100
+THIN_MM = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """A stroke that was made along a jar's floor: what is left on its way is so thick under the lip."""
+
+    heading_deg: float
+    left_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """What the last stroke has left on a mortar's wall: no thicker than that, and so much.
+
+    With a lip on the wall, it lies wherever the stroke has not reached it.
+    """
+
+    gap_mm: float
+    mass_mg: float
+    beside_mg: float = 0.0
+    """What has fallen back before lips that left the wall, besides: high up, where the next strokes find little."""
+    missed_mg: float = 0.0
+    """Of that, what is there only because the last stroke did not find it: the next one may find it all the same."""
+    passes: tuple[Pass, ...] = ()
+    """In a jar (`jars.py`), the last stroke along each heading."""
+
+
+class Bed:
+    """What is believed to lie in a mortar: so much, of it no more than was left in a layer, and on that the rest."""
+
+    def __init__(
+        self, mortar: Mortar, mass_mg: float, powder: Powder, layer: Layer | None = None, *, is_heaped: bool = False
+    ) -> None:
+        radius_mm, half_mm = mortar.bowl_radius_mm, mortar.bore_mm / 2
+        self.mortar, self.mass_mg, self.powder = mortar, mass_mg, powder
+        self._out_mm = (np.arange(RINGS) + 0.5) * half_mm / RINGS
+        cosine = np.sqrt(1 - (self._out_mm / radius_mm) ** 2)
+        self._area_mm2 = 2 * math.pi * self._out_mm * half_mm / RINGS / cosine
+        stays = self._out_mm < radius_mm * math.sin(math.radians(powder.repose_deg))
+        self._sides_mm = stays * SIDES_MM * (self._out_mm / half_mm) ** 2
+
+        def level_mm(level_mm: float, falls: float = 0.0) -> Floats:
+            thick_mm: Floats = np.maximum(level_mm - falls * self._out_mm - radius_mm * (1 - cosine), 0.0) * cosine
+            return thick_mm
+
+        falls = math.tan(math.radians(powder.repose_deg)) if is_heaped else 0.0
+
+        self.if_found: Bed | None
+        """The same, if the last stroke has missed nothing, and what it lacked was poured back as a heap."""
+        self.was_scooped_from = layer is not None
+        self.beside_mg = min(layer.beside_mg, mass_mg) if layer is not None else 0.0
+        self.missed_mg = min(layer.missed_mg, mass_mg) if layer is not None else 0.0
+        self.if_found = None
+        if layer is not None and self.missed_mg > 0.0:
+            found = replace(layer, beside_mg=layer.beside_mg - layer.missed_mg, missed_mg=0.0)
+            self.if_found = Bed(mortar, mass_mg, powder, found, is_heaped=True)
+        mass_mg -= self.beside_mg
+        self._thick_mm: Floats = np.zeros(RINGS)
+        if layer is not None and layer.gap_mm > LIP_GAP_MM:
+            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm + self._sides_mm), layer.mass_mg)
+            self._thick_mm *= min(1.0, mass_mg / max(layer.mass_mg, THIN_MM))
+        left_mm = self._thick_mm
+        self._fill(lambda at_mm: np.maximum(level_mm(at_mm, falls), left_mm), mass_mg)
+        self._lies = self._thick_mm > (left_mm if is_heaped else 0.0) + THIN_MM
+
+    def _fill(self, up_to: Callable[[float], Floats], mass_mg: float) -> None:
+        """As thick as it is up to the level that makes this mass."""
+        low_mm, high_mm = 0.0, self.mortar.depth_mm
+        while high_mm - low_mm > THIN_MM:
+            middle_mm = (low_mm + high_mm) / 2
+            if self._mass_mg(up_to(middle_mm)) < mass_mg:
+                low_mm = middle_mm
+            else:
+                high_mm = middle_mm
+        thick_mm = up_to(high_mm)
+        self._thick_mm = thick_mm * (mass_mg / max(self._mass_mg(thick_mm), THIN_MM))
+
+    @property
+    def radius_mm(self) -> float:
+        """How far from the middle there is powder; of a heap, how far that goes."""
+        return float(self._out_mm[self._lies].max(initial=self._out_mm[0]))
+
+    def above_mg(self, gap_mm: float, slip_mm: float = 0.0) -> float:
+        """What is farther from the wall than that, without what slips past the lip."""
+        left_mm = gap_mm + self._sides_mm if gap_mm > LIP_GAP_MM else gap_mm
+        above_mm = np.maximum(self._thick_mm - left_mm, 0.0)
+        return self._mass_mg(above_mm - np.minimum(slip_mm, above_mm / 3))
+
+    def above_bent_mg(self, gap_mm: float, rim_mm: float) -> float:
+        """What is farther from the wall than a rim that has bent down to it, which is narrower than the bowl."""
+        narrower = max(0.0, 2 / rim_mm - 1 / self.mortar.bowl_radius_mm)
+        left_mm = max(0.0, gap_mm - BENDS_MM) + narrower * self._out_mm**2 / 4
+        return self._mass_mg(np.maximum(self._thick_mm - left_mm, 0.0))
+
+    def _mass_mg(self, thick_mm: Floats) -> float:
+        return self.powder.bulk_density_mg_per_mm3 * float(thick_mm @ self._area_mm2)
