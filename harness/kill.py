@@ -12,7 +12,7 @@ import signal
 import tempfile
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -93,15 +93,18 @@ class Tally:
 
 
 class Deadly(BatchObserver):
-    """Shows nothing, and ends its own process at a tick; of those at which a skill is at work, where one is named."""
+    """Shows nothing, and ends its own process at a tick; of those at which a skill is at work, where one is named, and
+    of those that count."""
 
-    def __init__(self, last_tick: int | None, within: str = "") -> None:
-        self._left, self._within = last_tick, within
+    def __init__(self, last_tick: int | None, within: str = "", counts: Callable[[], bool] = lambda: True) -> None:
+        self._left, self._within, self._counts = last_tick, within, counts
 
     def ticked(self, root: Any) -> None:
         if self._within and not any(
             node.name == self._within and node.status is Status.RUNNING for node in root.iterate()
         ):
+            return
+        if not self._counts():
             return
         if self._left is not None:
             self._left -= 1
@@ -130,6 +133,8 @@ class Kill:
     at_tick: int | None = None
     within: str = ""
     """The skill that is at work then."""
+    is_open: bool = False
+    """Only ticks at which the valve is open count."""
     at_event: str = ""
     """Or as soon as an entry of this kind is in the journal."""
     takes_twins: bool = False
@@ -279,7 +284,9 @@ def _run(batch: Batch, begun: Path | None, kill: Kill) -> int:
 
     session.journal.heard = deadly
     try:
-        return session.run(Deadly(kill.at_tick, kill.within)).exit_code
+        hand = session.cell.hand
+        deadly = Deadly(kill.at_tick, kill.within, lambda: hand.opening_mm > 0.0 or not kill.is_open)
+        return session.run(deadly).exit_code
     finally:
         session.close()
 
