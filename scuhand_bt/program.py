@@ -6,9 +6,9 @@ from pathlib import Path
 
 
 @cache
-def source_digest() -> str:
-    """The package's own source, as a hash: what was found by another one is not known to hold for this one."""
-    folder, digest = Path(__file__).parent, hashlib.sha256()
+def source_digest(part: str = "") -> str:
+    """The source of the package, or of a part of it, as a hash: what another one found is not known to hold here."""
+    folder, digest = Path(__file__).parent / part, hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):
         digest.update(f"{path.relative_to(folder).as_posix()}\n".encode())
         digest.update(path.read_bytes())

@@ -20,6 +20,7 @@ import numpy as np
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.trajectory import JointTrajectory
+from scuhand_bt.program import source_digest
 from scuhand_bt.specs import Mortar
 
 GEOMETRIES_KEPT = 32
@@ -102,8 +103,5 @@ def _name(request: str) -> str:
 @cache
 def _source() -> str:
     """What plans besides the cell: this package's source, and the versions of what it stands on."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
     versions = [importlib.metadata.version(name) for name in _LIBRARIES]
-    return f"{digest.hexdigest()} {versions}"
+    return f"{source_digest('motion')} {versions}"

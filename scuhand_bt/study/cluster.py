@@ -10,6 +10,7 @@ import pickle
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import scuhand_bt
@@ -39,12 +40,11 @@ def answer(program: str, call: bytes) -> Any:
     """What a worker makes of a call by the program that has this source; ImportError where it has another one."""
     if source_digest() != program:
         raise ImportError(f"it has {scuhand_bt.__version__} of another source")
-    function, arguments = pickle.loads(call)
-    return function(*arguments)
+    return pickle.loads(call)()
 
 
-def _sent(function: Callable[..., Any], *arguments: Any) -> bytes:
-    return pickle.dumps(_Sent(pickle.dumps((function, arguments))))
+def _sent(call: Callable[[], Any]) -> bytes:
+    return pickle.dumps(_Sent(pickle.dumps(call)))
 
 
 class _Cluster(Executor):
@@ -54,7 +54,7 @@ class _Cluster(Executor):
         self._dask = dask
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        return self._dask.submit(pickle.loads, _sent(fn, *args))
+        return self._dask.submit(pickle.loads, _sent(partial(fn, *args, **kwargs)))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self._dask.shutdown(wait=wait)
