@@ -1,5 +1,6 @@
 """Shared by the tests: commands in this process, labs that can be changed, and a bench for trees."""
 
+import compileall
 import os
 import shutil
 import sys
@@ -22,7 +23,7 @@ from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.lab import Lab, load_lab, read_lab
+from scuhand_bt.lab import Lab, load_lab, read_lab, starter_lab
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.recipe.recipe import Recipe, load_recipe
@@ -46,10 +47,13 @@ REPOSITORY = Path(__file__).parent.parent
 def pytest_configure(config: pytest.Config) -> None:
     """Caches of these tests' own, shared by the processes that run them: most plan the same ways of the same arm.
 
-    And compiled modules are kept: hundreds of commands are begun in processes of their own.
+    And compiled modules are kept: hundreds of commands are begun in processes of their own. The skills
+    are compiled before any test copies them.
     """
     if not hasattr(config, "workerinput"):
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+        for lab in (REPOSITORY, starter_lab()):
+            compileall.compile_dir(lab / "skills", quiet=1)
         caches = tempfile.mkdtemp(prefix="scuhand-caches-")
         os.environ["XDG_CACHE_HOME"] = caches
         config.add_cleanup(lambda: shutil.rmtree(caches, ignore_errors=True))
@@ -153,8 +157,8 @@ def desk(tmp_path: Path, starter: Lab) -> Desk:
 @pytest.fixture
 def lab_folder(tmp_path: Path) -> LabFolder:
     folder = tmp_path / "lab"
-    for part in ("robot", "skills", "trees"):
-        shutil.copytree(REPOSITORY / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+    for part in ("robot", "skills", "trees"):  # with skills as they were compiled, as in `make_lab`
+        shutil.copytree(REPOSITORY / part, folder / part)
     (folder / "recipes").mkdir()
     return LabFolder(folder)
 

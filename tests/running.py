@@ -47,9 +47,12 @@ def shared_planner(plan: Plan, lab: Lab) -> MotionPlanner:
 
 
 def make_lab(folder: Path, **files: str) -> Path:
-    """A copy of the starter lab with more files: `trees__mine="…"` writes trees/mine.yaml."""
+    """A copy of the starter lab with more files: `trees__mine="…"` writes trees/mine.yaml.
+
+    With its skills as they were compiled: else each test that has a lab does it anew.
+    """
     for part in ("robot", "skills", "trees"):
-        shutil.copytree(starter_lab() / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(starter_lab() / part, folder / part)
     for name, text in files.items():
         part, stem = name.split("__", 1)
         (folder / part / f"{stem}.{'py' if part == 'skills' else 'yaml'}").write_text(text, encoding="utf-8")

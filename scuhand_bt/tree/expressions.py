@@ -10,7 +10,7 @@ import math
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from scuhand_bt import quantity
@@ -174,7 +174,7 @@ def parse_expression(text: str, mark: Mark) -> Expression | Reference:
     from lark.exceptions import UnexpectedCharacters, UnexpectedEOF, UnexpectedToken
 
     try:
-        root = _term(_parser().parse(text), mark)
+        root = _term(_tree(text), mark)
     except UnexpectedCharacters as error:
         raise ValueError(f"'{shorten(text[error.pos_in_stream or 0 :], 20)}' is not understood in it") from None
     except UnexpectedEOF:
@@ -201,6 +201,11 @@ def _parser() -> "Lark":
     from lark import Lark
 
     return Lark(GRAMMAR, parser="lalr", maybe_placeholders=False)
+
+
+@lru_cache(maxsize=1024)  # a lab is read again by each command of a server, and by each test
+def _tree(text: str) -> Any:
+    return _parser().parse(text)
 
 
 def _term(tree: Any, mark: Mark) -> Term:
