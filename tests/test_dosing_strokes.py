@@ -49,8 +49,7 @@ def through(stroke: Stroke, field: HeightField, in_mortar_mg: float, mortar: Mor
         gained_mg, lost_mg = field.move(apex_mm, axis, float(rim_mm), left_mg, in_cone_mg)
         in_cone_mg += gained_mg
         spilled_mg += lost_mg
-    field.leave()
-    return in_cone_mg, spilled_mg
+    return in_cone_mg, spilled_mg + field.leave()
 
 
 masses_mg = st.floats(200.0, 30_000.0)

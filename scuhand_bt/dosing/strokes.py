@@ -67,8 +67,9 @@ GRAINS_CLEAR, GRAINS_LEAST = 4.0, 1.25
 """By discrete elements round grains jam in a gap of half of one, and pass in one of one; others are less even. Where a
 layer of so many leaves less than `LITTLE_SHARE` of what is wanted to be taken, it is thinner."""
 LITTLE_SHARE = 0.25
-LEFT_SHARE = 0.05
-"""Of what a stroke would bring, the least that is taken where it would push powder over the edge of a full bowl."""
+LEFT_SHARE, THICKER_MM = 0.05, 0.5
+"""Of what a stroke would bring, the least that is taken where it would push powder over a full bowl's edge; and in what
+steps such a one is looked for."""
 SWEPT_SHARE = 0.6
 """A stroke that takes all there is begins so far up the wall at least: what others have left lies beside them."""
 REACHED = 0.85
@@ -182,7 +183,7 @@ def _within_edge(stroke: Stroke, path: StrokePath, bed: Bed, ladle: Ladle) -> St
     """
     least_mg = LEFT_SHARE * most_mg(stroke, bed, ladle.slant_mm)
     while (end_mm := _end_before_it_dips_mm(stroke, path, bed)) is None:
-        stroke = _ended(replace(stroke, gap_mm=stroke.gap_mm + GAP_GRID_MM), bed, ladle.slant_mm)
+        stroke = _ended(replace(stroke, gap_mm=stroke.gap_mm + THICKER_MM), bed, ladle.slant_mm)
         if most_mg(stroke, bed, ladle.slant_mm) < least_mg:
             raise _too_full(bed)
         path = stroke_path(Vessel.of(bed.mortar), replace(stroke, heading_deg=0.0), ladle)
