@@ -56,7 +56,7 @@ class Bed(Protocol):
         ...
 
     def leave(self) -> float | None:
-        """The cone has left the mortar, with what it holds: the mass [mg] over the edge as all comes to rest, if any."""
+        """The cone has left the mortar, with what it holds: the mass [mg] that then goes over the edge, if any."""
         ...
 
 
