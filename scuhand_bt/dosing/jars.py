@@ -271,11 +271,11 @@ def _no_way(mortar: Mortar, ladle: Ladle, bed_mm3: float) -> NoStrokeError:
     depths_mm = np.arange(mortar.depth_mm, corner_of(mortar) + SIZES_MM, -SIZES_MM) - SIZES_MM
     wider = first({"bore_mm": bore, "outer_diameter_mm": bore} for bore in bores_mm.tolist())
     lower = first({"depth_mm": depth} for depth in depths_mm.tolist())
-    advised = [f"a bore of {wider['bore_mm']:g} mm"] if wider else []
-    advised += [f"a depth of {lower['depth_mm']:g} mm"] if lower else []
+    wanted = [f"a bore of {wider['bore_mm']:g} mm"] if wider else []
+    wanted += [f"a depth of {lower['depth_mm']:g} mm"] if lower else []
     return NoStrokeError(
         f"with a sheet of {ladle.slant_mm:g} mm the hand has no way along the floor of a jar of {mortar.bore_mm:g} mm "
-        f"bore and {mortar.depth_mm:g} mm depth without touching its wall; {' or '.join(advised) or 'a mortar'} would do"
+        f"bore and {mortar.depth_mm:g} mm depth without touching its wall; {' or '.join(wanted) or 'a mortar'} would do"
     )
 
 
