@@ -218,3 +218,14 @@ def test_a_hollow_jar_is_free_inside_and_solid_in_its_wall() -> None:
             np.all(np.abs(at_m - one.centre_m) < np.array(one.box_m) / 2) for one in walls if abs(one.yaw_rad) < 1e-9
         ]
         assert any(inside) == is_solid, (radius_mm, high_mm)
+
+
+def test_no_jar_is_advised_that_does_not_hold_what_there_is() -> None:
+    vessel = jar(53.2, 41.8)
+    there_mg = 0.5 * vessel.capacity_mm3 * BEADS.bulk_density_mg_per_mm3
+    with pytest.raises(NoStrokeError) as told:
+        JarBed(vessel, there_mg, BEADS, LADLE).chosen(LOAD_MG, 0.0)
+    assert "a bore of" in str(told.value)
+    assert "a depth of" not in str(told.value), "it would do, for less"
+    with pytest.raises(NoStrokeError, match="a depth of"):
+        JarBed(vessel, there_mg / 5, BEADS, LADLE).chosen(LOAD_MG, 0.0)

@@ -111,6 +111,13 @@ class Bed:
         """How far from the middle there is powder; of a heap, how far that goes."""
         return float(self._out_mm[self._lies].max(initial=self._out_mm[0]))
 
+    @property
+    def surface_mm(self) -> float:
+        """How high it lies at most, above the bowl's lowest point."""
+        radius_mm = self.mortar.bowl_radius_mm
+        cosine = np.sqrt(1 - (self._out_mm / radius_mm) ** 2)
+        return float((radius_mm * (1 - cosine) + self._thick_mm / cosine)[self._thick_mm > THIN_MM].max(initial=0.0))
+
     def above_mg(self, gap_mm: float, slip_mm: float = 0.0) -> float:
         """What is farther from the wall than that, without what slips past the lip."""
         left_mm = gap_mm + self._sides_mm if gap_mm > LIP_GAP_MM else gap_mm

@@ -123,7 +123,7 @@ class JarBed:
         NoStrokeError where the hand can make none in such a vessel, with one of which it could.
         """
         if not has_way(self.mortar, self._ladle):
-            raise _no_way(self.mortar, self._ladle)
+            raise _no_way(self.mortar, self._ladle, self.mass_mg / self.powder.bulk_density_mg_per_mm3)
         deepest = replace(along_floor(self.mortar, self._ladle.slant_mm), heading_deg=heading_deg)
         most_mg = self.most_mg(deepest)
         if most_mg <= wanted_mg:
@@ -259,19 +259,23 @@ def has_way(mortar: Mortar, ladle: Ladle) -> bool:
     return True
 
 
-def _no_way(mortar: Mortar, ladle: Ladle) -> NoStrokeError:
+def _no_way(mortar: Mortar, ladle: Ladle, bed_mm3: float) -> NoStrokeError:
+    def would(size: dict[str, float]) -> bool:
+        other = mortar.model_copy(update=size)
+        return bed_mm3 <= other.capacity_mm3 and has_way(other, ladle)
+
     def first(sizes: Iterable[dict[str, float]]) -> dict[str, float]:
-        return next((size for size in sizes if has_way(mortar.model_copy(update=size), ladle)), {})
+        return next(filter(would, sizes), {})
 
     bores_mm = np.arange(mortar.bore_mm, WIDEST_MM, SIZES_MM) + SIZES_MM
     depths_mm = np.arange(mortar.depth_mm, corner_of(mortar) + SIZES_MM, -SIZES_MM) - SIZES_MM
     wider = first({"bore_mm": bore, "outer_diameter_mm": bore} for bore in bores_mm.tolist())
     lower = first({"depth_mm": depth} for depth in depths_mm.tolist())
-    would = [f"a bore of {wider['bore_mm']:g} mm"] if wider else []
-    would += [f"a depth of {lower['depth_mm']:g} mm"] if lower else []
+    wanted = [f"a bore of {wider['bore_mm']:g} mm"] if wider else []
+    wanted += [f"a depth of {lower['depth_mm']:g} mm"] if lower else []
     return NoStrokeError(
         f"with a sheet of {ladle.slant_mm:g} mm the hand has no way along the floor of a jar of {mortar.bore_mm:g} mm "
-        f"bore and {mortar.depth_mm:g} mm depth without touching its wall; {' or '.join(would) or 'a mortar'} would do"
+        f"bore and {mortar.depth_mm:g} mm depth without touching its wall; {' or '.join(wanted) or 'a mortar'} would do"
     )
 
 

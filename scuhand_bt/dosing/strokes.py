@@ -28,6 +28,10 @@ The lip leaves the wall before h(phi) + H comes near the edge, over which that w
 below it, as beside the lip the rim is higher. Of what lies before it there, p V, the share `FALLS_BACK` stays in the
 mortar. No stroke pushes so much that it would have to leave the wall before the sheet is level.
 
+Behind a lip that leaves a thick layer the sheet dips into the powder as it comes level, near the edge where the stroke
+has begun, and pushes up there what it displaces. So the lip leaves the wall before the apex is as deep in the bed as
+the bed's surface is below the edge; where the sheet is not level by then, the layer is thicker.
+
 Of a gap of less than a grain, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a
 layer of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
 """
@@ -63,6 +67,9 @@ GRAINS_CLEAR, GRAINS_LEAST = 4.0, 1.25
 """By discrete elements round grains jam in a gap of half of one, and pass in one of one; others are less even. Where a
 layer of so many leaves less than `LITTLE_SHARE` of what is wanted to be taken, it is thinner."""
 LITTLE_SHARE = 0.25
+LEFT_SHARE, THICKER_MM = 0.05, 0.5
+"""Of what a stroke would bring, the least that is taken where it would push powder over a full bowl's edge; and in what
+steps such a one is looked for."""
 SWEPT_SHARE = 0.6
 """A stroke that takes all there is begins so far up the wall at least: what others have left lies beside them."""
 REACHED = 0.85
@@ -139,8 +146,8 @@ def chosen(bed: Bed, ladle: Ladle, wanted_mg: float, widest_mm: float = math.inf
 
     NoStrokeError where grains are so coarse that all that may be taken is less than one of them is thick, and where the
     bowl is so shallow, or so small for the sheet, that the lip leaves it before the sheet is level, whatever is taken;
-    where the lip cannot come to the wall behind its middle; and where the vessel, the sheet or the handle allow none
-    with any rim.
+    where the lip cannot come to the wall behind its middle; where it is so full that the sheet would push powder over
+    its edge; and where the vessel, the sheet or the handle allow none with any rim.
     """
     sheet_radius_mm, why = ladle.slant_mm, list[NoStrokeError]()
     widest_mm = min(widest_mm, _on_grid(WIDEST_SHARE * min(bed.mortar.bore_mm, 2 * sheet_radius_mm), RIM_GRID_MM))
@@ -154,7 +161,7 @@ def chosen(bed: Bed, ladle: Ladle, wanted_mg: float, widest_mm: float = math.inf
         if path.lip_mm[path.on_wall][0, 0] > -BEHIND_MIDDLE_MM:
             why.append(_beyond_middle(bed.mortar, sheet_radius_mm))
         elif _keeps_what_it_takes(stroke, path, Vessel.of(bed.mortar)):
-            return stroke
+            return _within_edge(stroke, path, bed, ladle)
     raise why[0] if why else _never_level(bed.mortar, sheet_radius_mm)
 
 
@@ -167,6 +174,39 @@ def _keeps_what_it_takes(stroke: Stroke, path: StrokePath, vessel: Vessel) -> bo
     out_mm, _, steep = vessel.wall(np.array([min(stroke.end_mm, vessel.to_edge_mm)]))
     is_there = lip_mm[0] >= out_mm[0] - stroke.gap_mm * math.sin(steep[0]) - 2 * STEP_MM
     return bool(is_there or lip_mm[2] >= apex_mm[2])
+
+
+def _within_edge(stroke: Stroke, path: StrokePath, bed: Bed, ladle: Ladle) -> Stroke:
+    """The stroke, or one that ends before the sheet pushes powder over the edge; if it has to be, less deep.
+
+    NoStrokeError where such a one brings next to nothing.
+    """
+    least_mg = LEFT_SHARE * most_mg(stroke, bed, ladle.slant_mm)
+    while (end_mm := _end_before_it_dips_mm(stroke, path, bed)) is None:
+        stroke = _ended(replace(stroke, gap_mm=stroke.gap_mm + THICKER_MM), bed, ladle.slant_mm)
+        if most_mg(stroke, bed, ladle.slant_mm) < least_mg:
+            raise _too_full(bed)
+        path = stroke_path(Vessel.of(bed.mortar), replace(stroke, heading_deg=0.0), ladle)
+    return replace(stroke, end_mm=end_mm)
+
+
+def _end_before_it_dips_mm(stroke: Stroke, path: StrokePath, bed: Bed) -> float | None:
+    """Where the lip leaves the wall so that the sheet, behind it, pushes nothing over the edge; None for nowhere.
+
+    That is before the apex, where the lip has cut nothing, is as far below the bed as that is below the edge; and the
+    sheet is to be level by then.
+    """
+    lip_mm, apex_mm = path.lip_mm[path.on_wall], path.apex_mm[path.on_wall]
+    radius_mm, free_mm = bed.mortar.bowl_radius_mm, bed.mortar.depth_mm - bed.surface_mm
+    deepest_mm = bed.surface_mm - free_mm + max(NEAR_EDGE_MM, bed.powder.grain_mm)
+    is_uncut = np.hypot(apex_mm[:, 0], radius_mm - apex_mm[:, 2]) > radius_mm - stroke.gap_mm
+    dips = is_uncut & (apex_mm[:, 2] < deepest_mm)
+    if not dips.any():
+        return stroke.end_mm
+    last = int(dips.argmax()) - 1
+    if last < 0 or lip_mm[last, 2] < apex_mm[last, 2]:
+        return None
+    return radius_mm * math.atan2(lip_mm[last, 0], radius_mm - lip_mm[last, 2])
 
 
 def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: float) -> Stroke:
@@ -222,6 +262,13 @@ def _beyond_middle(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
     return NoStrokeError(
         f"with a sheet of {sheet_radius_mm:g} mm the lip comes to the wall of a bowl of {mortar.bore_mm:g} mm bore and "
         f"{mortar.depth_mm:g} mm depth beyond its middle, past the powder"
+    )
+
+
+def _too_full(bed: Bed) -> NoStrokeError:
+    return NoStrokeError(
+        f"of {format_mass(bed.mass_mg)} in a bowl of {bed.mortar.bore_mm:g} mm bore and {bed.mortar.depth_mm:g} mm "
+        f"depth, which they nearly fill, the sheet would push some over the edge as it dips into them"
     )
 
 

@@ -93,11 +93,11 @@ def stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float)
 
 
 def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> str:
-    """The nearest bore and the nearest depth with which a stroke in this bowl would be worth it; "" for none."""
+    """The nearest bore, and depth, with which a stroke would be worth it, and how much less in it; "" for none."""
     bowl = source.mortar
     wall_mm = bowl.outer_diameter_mm - bowl.bore_mm
 
-    def is_worth(bore_mm: float, depth_mm: float) -> bool:
+    def is_worth(bore_mm: float, depth_mm: float, bed_mg: float = bed_mg) -> bool:
         sizes = {"bore_mm": bore_mm, "depth_mm": depth_mm, "outer_diameter_mm": bore_mm + wall_mm}
         other = source.model_copy(update={"mortar": bowl.model_copy(update=sizes)})
         try:
@@ -110,8 +110,11 @@ def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) ->
     nearest_mm = sorted(depths_mm.tolist(), key=lambda depth_mm: abs(depth_mm - bowl.depth_mm))
     bore_mm = next((mm for mm in bores_mm.tolist() if is_worth(mm, bowl.depth_mm)), None)
     depth_mm = next((mm for mm in nearest_mm if is_worth(bowl.bore_mm, mm)), None)
+    lesser_mg = (share / 100 * bed_mg for share in range(95, 0, -5))
+    less_mg = next((mg for mg in lesser_mg if is_worth(bowl.bore_mm, bowl.depth_mm, mg)), None)
     would = [f"a bore of {bore_mm:g} mm"] if bore_mm is not None else []
     would += [f"a depth of {depth_mm:g} mm"] if depth_mm is not None else []
+    would += [f"{format_mass(less_mg)} in it"] if less_mg is not None else []
     return f"; {' or '.join(would)} would do" if would else ""
 
 

@@ -150,14 +150,19 @@ class HeightField:
         steps = int(here.way_mm(there) / STEP_MM) if self._cone is not None else 1
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
             self._step(here.towards(there, float(share)))
-        lost_mg, self._lost_mm = self._lost_mm * self._mg_per_mm, 0.0
-        return self.in_cone_mg - in_cone_mg, lost_mg
+        return self.in_cone_mg - in_cone_mg, self._told_mg()
 
-    def leave(self) -> None:
-        """The cone has left the mortar, with what it holds."""
+    def leave(self) -> float:
+        """The cone has left the mortar, with what it holds: the mass [mg] over the edge as all comes to rest."""
         self._on_sheet[:] = 0.0
         self._cone = self._written = None
         self._flow(SETTLING)
+        return self._told_mg()
+
+    def _told_mg(self) -> float:
+        """What has gone over the edge since this was last asked."""
+        lost_mg, self._lost_mm = self._lost_mm * self._mg_per_mm, 0.0
+        return lost_mg
 
     @property
     def kept(self) -> tuple[str, list[float]]:

@@ -55,8 +55,10 @@ class Mortars:
         was, self.inside = self.inside, self._around(pose)
         in_cone_mg = self._ledger.masses_mg[CONE]
         if was is not None and was != self.inside:
+            in_mortar_mg = self._ledger.masses_mg[in_source(was)]
             with self._plant.breaks_in("bed"):
-                self._beds[was].leave()
+                _, lost_mg = self._plant.moved((0.0, self._beds[was].leave() or 0.0), in_mortar_mg, in_cone_mg)
+            self._ledger.transfer(in_source(was), SPILLED, lost_mg)
             return True
         if self.inside is not None:
             if was is None:

@@ -55,8 +55,8 @@ class Bed(Protocol):
         """
         ...
 
-    def leave(self) -> None:
-        """The cone has left the mortar, with what it holds."""
+    def leave(self) -> float | None:
+        """The cone has left the mortar, with what it holds: the mass [mg] that then goes over the edge, if any."""
         ...
 
 
