@@ -834,8 +834,12 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
     assert {row[FLOW] for row in written} == {"40", "150"}
     picture = tmp_path / "came.svg"
     shown = command(*asked, "--plot", picture).stdout
-    texts = re.findall("<!-- (.*?) -->", picture.read_text(encoding="utf-8"))  # beside their curves
-    drawn = " ".join(texts)
+    drawing = picture.read_text(encoding="utf-8")
+    drawn = " ".join(re.findall("<!-- (.*?) -->", drawing))  # beside their curves
+    legend = drawing[drawing.index('id="legend_1"') :]
+    assert re.findall("fill: (#[0-9a-f]+)", legend)[:2] == ["#ffffff", "#cfe8cf"], (
+        "green on white, not on its own green"
+    )
     for words in ("dry runs (SIMULATED): 4", "how long a run takes", "beads", "what time depends on", "Spearman"):
         assert words in drawn
     assert "By 4 dry runs" in shown
