@@ -163,9 +163,8 @@ def test_a_terminal_without_unicode_breaks_nothing(lab_folder: LabFolder) -> Non
 def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
     shown = command("plan", "recipes/synthesis_batch.yaml", "--trials", 0)
     assert shown.returncode == 0
-    assert "change powder to monosodium_glutamate" in shown.stdout
     assert "Sheet swaps between samples: 1." in shown.stdout
-    change = "change powder to monosodium_glutamate for m-xrd-1"
+    change = "change powder to monosodium_glutamate/MSG-17 for m-xrd-1"
     assert f"A person is needed at '{change}': swap the sheet (two screws), wipe rollers and clamp." in shown.stdout
 
 

@@ -52,7 +52,9 @@ def test_every_job_has_a_name_of_its_own(desk: Desk) -> None:
 
 
 def test_two_lots_of_one_powder_need_two_sheets_and_one_lot_in_two_mortars_one(desk: Desk) -> None:
-    assert plan_of(desk, second="glass_beads, amount: 5 g, lot: B").swaps == 1
+    two_lots = plan_of(desk, second="glass_beads, amount: 5 g, lot: B")
+    assert two_lots.swaps == 1
+    assert "change powder to glass_beads/B for b" in [job.name for job in two_lots.jobs]
     assert plan_of(desk, second="glass_beads, amount: 5 g").swaps == 0
 
 

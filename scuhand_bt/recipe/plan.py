@@ -255,7 +255,7 @@ def _jobs(lab: Lab, samples: Iterable[Sample]) -> Iterator[Job]:
     for sample in samples:
         for first in sample.sources[:1]:
             if last is not None and first.sheet_key != last.sheet_key:
-                name = f"change powder to {first.powder.name} for {sample.id}"
+                name = f"change powder to {first.sheet_key} for {sample.id}"
                 yield Job(name, changing, {"source": last})
             last = sample.last_source
         yield _job(sample)

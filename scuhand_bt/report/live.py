@@ -187,8 +187,9 @@ class LiveView(BatchObserver):
         now_s = self._cell.clock.now_s
         under_way = self._job[0].name if self._job is not None else None
         told_s = dict(self._told_s)  # a copy: the run goes on
-        keeps = pace(self._plan.done_s, told_s, self._standing.until(now_s), under_way, now_s)
-        return max(0.0, keeps.ends_s(self._plan.duration_s) - now_s)
+        all_s = self._plan.duration_s
+        keeps = pace(self._plan.done_s, told_s, self._standing.until(now_s), under_way, now_s, all_s)
+        return max(0.0, keeps.ends_s(all_s) - now_s)
 
 
 def nodes_of(root: Behaviour, depth: int = 0, passed: str = "to come") -> Iterator[Node]:

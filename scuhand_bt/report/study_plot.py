@@ -74,7 +74,7 @@ def _draw_time(axes: "Axes", odds: Odds, trials: Sequence[Trial]) -> None:
     axes.axvline(expected.middle / 60.0, color=RED, label="median")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(title="how long a run takes", xlabel="a run [min]", ylabel="dry runs")
-    axes.legend(frameon=False)
+    axes.legend(framealpha=1.0)  # the interval may be behind it, in the same green
 
 
 def _draw_chances(axes: "Axes", odds: Odds) -> None:

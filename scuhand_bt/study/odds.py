@@ -1,8 +1,9 @@
 """What to expect of a run, by trials of it: how long it takes, how its samples come out, what it uses.
 
 Each trial has a cell of its own (`some_cell`). The interval of a duration is that of Student's t for the logarithm of
-one more run like these, widened by `MODEL_SHARE` for what persons, carousels and arms differ by; a sample's chance is
-lowered by `UNFORESEEN` likewise. `benchmarks.forecasts` holds both against runs on plants that no trial has had.
+one more run like these, widened by `MODEL_SHARE` for what persons, carousels and arms differ by, that of a mass
+Student's t for the mass itself; a sample's chance is lowered by `UNFORESEEN` likewise. `benchmarks.forecasts` holds
+times and chances against runs on plants that no trial has had.
 """
 
 import math
@@ -140,10 +141,10 @@ def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> O
         asked=len(asked) / len(found),
         good=sum(samples[name].probability for name in asked) / len(found),
         scoops={name: _seen([trial.scoops[name] for trial in found]) for name in plan.recipe.sources},
-        used_mg={name: _seen([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},
+        used_mg={name: _of_masses([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},
         leftovers_mg={
             name: {
-                kind: _seen([trial.leftovers_mg[name].get(kind, 0.0) for trial in found])
+                kind: _of_masses([trial.leftovers_mg[name].get(kind, 0.0) for trial in found])
                 for kind in (*LEFTOVERS, *vessels)
             }
             for name in plan.recipe.sources
@@ -178,6 +179,16 @@ def _of_times(times_s: Sequence[float]) -> Range:
     half = math.hypot(float(t.ppf(0.5 + COVERED / 2.0, many - 1)) * chance, WIDE * MODEL_SHARE)
     middle = float(np.mean(logs))
     return Range(*(math.exp(at) for at in (middle - half, middle, middle + half)))
+
+
+def _of_masses(masses_mg: Sequence[float]) -> Range:
+    """Of one more run like these, which lies beyond the least and the greatest of four two times in five."""
+    many = len(masses_mg)
+    if many < FEWEST:
+        return _seen(masses_mg)
+    mean = float(np.mean(masses_mg))
+    half = float(t.ppf(0.5 + COVERED / 2.0, many - 1) * np.std(masses_mg, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
+    return Range(max(0.0, mean - half), float(np.median(masses_mg)), mean + half)
 
 
 def _seen(values: Sequence[float]) -> Range:
