@@ -266,7 +266,8 @@ def require_known_delay(cell: Cell, step: Step) -> None:
         elif is_other and not is_slower:
             shapes = {"shape": found.shape, "known_shape": known.shape}
             cell.record.event(BalanceChanged(delay_s=delay_s, known_s=known.shown_s, **shapes))
-        cell.balance_belief = found
+        # How late it shows what a person puts down has their own time in it.
+        cell.balance_belief = found.model_copy(update={"shown_s": 0.0}) if cell.changer.needs_person else found
     if not is_slower and cell.known_delay_s is not None:
         delay_s = min(delay_s, known_s)
     cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
