@@ -160,7 +160,8 @@ CATALOGUE: Mapping[str, Failure] = {
     ),
     Code.BALANCE_DRIFTING: Failure(
         "Two weighings of one thing, one after the other, went on differing: a mass cannot be told.",
-        "Let the container come to the room's temperature, ground it, close the draft shield, let the balance warm up.",
+        "Let the container come to the room's temperature, ground it, close the draft shield, let the balance warm up; "
+        "where it only grows, see whether the shut valve leaks: `hand.leak` tells leaks from 1 mg/s.",
         ("cell",),
     ),
     Code.BALANCE_SLOW: Failure(

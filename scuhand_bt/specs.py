@@ -144,6 +144,8 @@ class BalanceBelief(Spec):
     """Standard deviation of a single reading on a quiet pan."""
     fits: Annotated[int, Field(ge=0)] = 0
     """How many steps and openings the lag was learnt from; 0 while it is only assumed."""
+    shown_s: Annotated[Seconds, NotNegative] = 0.0
+    """How late it has shown a container; 0 where none has told."""
 
 
 class Departure(StrEnum):

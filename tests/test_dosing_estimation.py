@@ -145,6 +145,20 @@ def test_openings_do_not_talk_a_filter_that_adapts_out_of_its_other_face(open_s:
     assert known.fits == first.fits + 5
 
 
+def test_openings_whose_powder_is_held_up_make_no_balance_quicker_than_a_container_has_shown_it() -> None:
+    """What came before the bridge is shown by the time the valve shuts: of a dead time of 3 s they made 1.7."""
+    first = known = balance_of(step_on(balance("delay", 3.0)))
+    by_hand = first.model_copy(update={"shown_s": 0.0})
+    held_up = BalanceBelief(lag_s=0.6, doubt=0.2)
+    for _ in range(5):
+        known, by_hand = with_found(known, held_up), with_found(by_hand, held_up)
+    assert known.lag_s > 0.88 * first.lag_s
+    assert known.doubt < 2.0 * first.doubt
+    assert by_hand.lag_s < 0.7 * first.lag_s
+    doubted = with_found(known.model_copy(update={"fits": 0, "doubt": 1.0}), held_up)
+    assert doubted.lag_s > 0.88 * first.lag_s
+
+
 def test_a_filter_that_adapts_and_was_changed_is_learnt_anew() -> None:
     first = known = balance_of(step_on(balance("adaptive", 0.3, patience=2.0)))
     for _ in range(3):

@@ -24,9 +24,10 @@ from scuhand_bt.dosing.bracket import (
 )
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, is_frozen, step_of
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
-from scuhand_bt.dosing.identification import balance_of, is_linear
+from scuhand_bt.dosing.identification import balance_of, is_linear, is_unlike
 from scuhand_bt.events.weighings import (
     BalanceAdapts,
+    BalanceChanged,
     BalanceSlower,
     BracketClosed,
     ContainerAgain,
@@ -234,8 +235,8 @@ def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Ste
 
 
 def require_known_delay(cell: Cell, step: Step) -> None:
-    """Before a dose: a balance that is slower than it was, adapts as it did not or no more, or is unknown, is taken for
-    what it has shown of a container.
+    """Before a dose: a balance that is slower or quicker than it was, has another filter, adapts as it did not or no
+    more, or is unknown, is taken for what it has shown of a container.
 
     SkillFailed balance.slow where nothing doses safely with it.
     """
@@ -254,12 +255,19 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     has_begun_to_adapt = is_sure and not known.adapts
     # One container of a thousand looks like it by chance all the same, one of two hundred where nothing is known.
     adapts_no_more = known.adapts and is_linear(step, SURELY)
-    is_news = known.fits == 0 or has_begun_to_adapt or adapts_no_more
+    # By an earlier container: doses know a filter that adapts for slower than any step of one.
+    is_quicker = known.shown_s > SLOWER * delay_s + inexact_s
+    is_other = known.fits > 0 and known.shown_s > 0.0 and (is_quicker or is_unlike(step, known.shape))
+    is_news = known.fits == 0 or has_begun_to_adapt or adapts_no_more or is_other
     if is_slower or (is_news and not cell.changer.needs_person):
         if known.fits > 0 and found.adapts != known.adapts:
             late_s = {"delay_s": delay_s, "last_s": step.last_s, "last_uncertainty_s": step.last_uncertainty_s}
             cell.record.event(BalanceAdapts(adapts=found.adapts, **late_s))
-        cell.balance_belief = found
+        elif is_other and not is_slower:
+            shapes = {"shape": found.shape, "known_shape": known.shape}
+            cell.record.event(BalanceChanged(delay_s=delay_s, known_s=known.shown_s, **shapes))
+        # How late it shows what a person puts down has their own time in it.
+        cell.balance_belief = found.model_copy(update={"shown_s": 0.0}) if cell.changer.needs_person else found
     if not is_slower and cell.known_delay_s is not None:
         delay_s = min(delay_s, known_s)
     cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s

@@ -44,6 +44,8 @@ LEAST_LAST = 0.3
 """Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
 LEAST_DOUBT = 0.08
 """That standard deviation, at least, of what is believed."""
+UNLIKE = 0.15
+"""A container's step is of another balance where a shape is nearer than the known one by this share of the step."""
 TELLS = 1.0
 """An opening tells the balance when its delay is known to this."""
 LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
@@ -106,7 +108,16 @@ def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
     doubt, adapts = math.hypot(STEP_DOUBT, apart), apart > STEP_DOUBT
     misfit = min(far / max(math.hypot(*step.missing), 1e-9), 1.0)
     lag_s = min(max(delay_s * math.sqrt(slower), LEAST_DELAY_S), LONGEST_S) / 2.0
-    return BalanceBelief(lag_s=lag_s, doubt=doubt, shape=shape, adapts=adapts, misfit=misfit, fits=1)
+    return BalanceBelief(
+        lag_s=lag_s, doubt=doubt, shape=shape, adapts=adapts, misfit=misfit, fits=1, shown_s=max(delay_s, 0.0)
+    )
+
+
+def is_unlike(step: Step, shape: str) -> bool:
+    """Whether a step is none of this shape, whatever its delay: another is nearer by `UNLIKE` of what it is about."""
+    fits = _fits(step)
+    nearest, _ = min(fits.values())
+    return fits[shape][0] - nearest > UNLIKE * math.hypot(*step.missing)
 
 
 def is_linear(step: Step, beyond: float) -> bool:
@@ -117,15 +128,20 @@ def is_linear(step: Step, beyond: float) -> bool:
 
 def _nearest(step: Step) -> tuple[str, float, float]:
     """The shape that is nearest to a step, how far off it is [1], and what the last of the step takes it [s]."""
-    delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
+    fits = _fits(step)
+    shape = min(fits, key=lambda name: fits[name][0])
+    return shape, *fits[shape]
+
+
+def _fits(step: Step) -> dict[str, tuple[float, float]]:
+    """How far each shape is off a step [1], and what the last of the step takes it [s]."""
+    delay_s, fits = step.delay_s, dict[str, tuple[float, float]]()
     for shape, (pure, damping) in SHAPES.items():
         times_s = np.array([max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s])
         delays_s, shares, dampings = (np.full_like(times_s, figure) for figure in (delay_s, pure, damping))
         missing = tuple(transitions(delays_s, shares, dampings, times_s)[0][:, READING, READING].tolist())
-        far[shape] = math.dist(missing, step.missing)
-        last_s[shape] = max(step._replace(missing=missing).last_s, 0.0)
-    shape = min(far, key=far.__getitem__)
-    return shape, far[shape], last_s[shape]
+        fits[shape] = math.dist(missing, step.missing), max(step._replace(missing=missing).last_s, 0.0)
+    return fits
 
 
 def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
@@ -167,9 +183,13 @@ def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBeli
     """What is believed once an opening has told something: taken in by how sure it is.
 
     What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
+    Powder that is held up makes a balance look quicker than it is: no opening makes it quicker than a container has,
+    but for the doubt that a step leaves.
     """
     if found is None or found.doubt > TELLS:
         return known
+    least_s = known.shown_s * math.exp(-STEP_DOUBT)
+    found = found.model_copy(update={"lag_s": max(found.lag_s, least_s / 2.0), "shown_s": known.shown_s})
     doubt = max(found.doubt, LEAST_DOUBT)
     if known.fits == 0:
         return found.model_copy(update={"fits": 1, "doubt": doubt})

@@ -15,6 +15,7 @@ from scuhand_bt.events.doses import Dose, DoseCurve, Pulsed, ValueRecorded
 from scuhand_bt.events.entry import SkillEvent
 from scuhand_bt.events.weighings import (
     BalanceAdapts,
+    BalanceChanged,
     BalanceDoubted,
     BalanceSlower,
     BalanceWatched,
@@ -50,6 +51,7 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     RepeatabilityMeasured,
     BalanceWatched,
     BalanceSlower,
+    BalanceChanged,
     BalanceAdapts,
     BalanceDoubted,
     ArmFreed,

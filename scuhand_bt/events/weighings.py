@@ -71,6 +71,20 @@ class BalanceSlower(SkillEvent):
     """How late it was known to be."""
 
 
+class BalanceChanged(SkillEvent):
+    """A container tells that a known balance is quicker than it was, or its filter another: it is taken for that."""
+
+    KIND: ClassVar = "balance_changed"
+
+    delay_s: float
+    """How late the balance has shown the container."""
+    known_s: float
+    """How late it has shown one before."""
+    shape: str
+    """The kind of its filter, as the container tells."""
+    known_shape: str
+
+
 class BalanceAdapts(SkillEvent):
     """The last of a container tells that a known balance adapts as it did not, or no more: it is taken for that."""
 
