@@ -121,6 +121,7 @@ def test_a_check_plans_the_ways_unless_it_is_to_be_fast(lab_folder: LabFolder) -
     assert (opened.state / "planned.json").exists()
 
 
+@pytest.mark.slow
 def test_a_session_may_be_run_in_another_thread_than_it_was_made_in(lab: api.OpenLab, tmp_path: Path) -> None:
     session = lab.prepare(RECIPE, api.DryRun(), journals=tmp_path)
     came: list[Any] = []
@@ -214,6 +215,7 @@ def test_every_entry_of_the_journal_is_told_in_order_and_fits_the_schema(lab: ap
         assert not judge.is_valid({**json.loads(pulse.line()), **wrong}), wrong
 
 
+@pytest.mark.slow
 def test_what_a_listener_breaks_or_never_hears_is_a_notice_and_the_run_ends_as_without(
     lab: api.OpenLab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,6 +241,7 @@ def test_what_a_listener_breaks_or_never_hears_is_a_notice_and_the_run_ends_as_w
     released.set()
 
 
+@pytest.mark.slow
 def test_a_slow_listener_hears_all_and_the_run_does_not_wait_for_it(lab: api.OpenLab) -> None:
     told: list[tuple[int, float]] = []
     ended: list[float] = []
@@ -303,6 +306,7 @@ def test_the_command_resumes_from_the_entry_where_a_run_was(command: Call, lab_f
     assert [one["values"]["id"] for one in after if one["kind"] == "sample"][-1] == "b"
 
 
+@pytest.mark.slow
 def test_any_thread_resumes_a_run_and_what_it_came_to_is_read_back_as_it_was_given(lab_folder: LabFolder) -> None:
     lab, before, after = api.open_lab(lab_folder.folder), list[api.RunEvent](), list[api.RunEvent]()
     stopped = stopped_after_the_first(lab, two_samples(), before)  # a dict has no file to be read anew
@@ -358,6 +362,7 @@ def test_of_an_altered_journal_nothing_is_a_result(lab_folder: LabFolder) -> Non
             read_it()
 
 
+@pytest.mark.slow
 def test_the_example_of_runs_of_before_goes_on_with_the_last(
     lab_folder: LabFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:

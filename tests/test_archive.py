@@ -128,6 +128,7 @@ def test_show_tells_of_questions_pauses_and_resumptions(tmp_path: Path, command:
     assert "State: interrupted" in out
 
 
+@pytest.mark.slow
 def test_show_as_json_has_all_of_it(ran: Ran, command: Call) -> None:
     code, out, _ = command("show", ran.journal, "--json")
     story: dict[str, Any] = json.loads(out)

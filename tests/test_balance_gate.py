@@ -408,6 +408,7 @@ def test_what_is_forgotten_is_believed_no_more_and_what_is_measured_later_is(tmp
     assert state.balances(simulated=False)[cell.balance_name].run == "later"
 
 
+@pytest.mark.slow
 def test_a_resumed_run_knows_what_was_measured_before(tmp_path: Path) -> None:
     cell = dry_run(tmp_path, RECIPE, controller="adaptive").session.cell
     fresh = replace(cell, balance_figures={}, known_delay_s=None)

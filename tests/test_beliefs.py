@@ -307,6 +307,7 @@ def test_what_was_simulated_of_scoops_is_recalled_by_no_run_and_what_is_no_news_
     assert [(one.share, one.run) for one in state.yields(simulated=False).values()] == [(0.7, "third")]
 
 
+@pytest.mark.slow
 def test_what_scoops_bring_is_shown_with_its_date_and_forgotten_with_its_lot(
     command: Call, lab_folder: LabFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

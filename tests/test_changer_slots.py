@@ -235,6 +235,7 @@ def stopped(tmp_path: Path, lab_folder: LabFolder) -> Callable[..., tuple[Sessio
     return run
 
 
+@pytest.mark.slow
 def test_a_resumed_run_goes_on_with_the_slots_of_each_kind(stopped: Callable[..., tuple[Session, Watching]]) -> None:
     session, watching = stopped(resumes=True)
     assert watching.results[-1].id == "d"

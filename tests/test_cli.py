@@ -217,6 +217,7 @@ def test_a_dry_run_says_that_it_is_simulated_and_ends_with_a_table(command: Call
     json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_export(command: Call, recipe: Path, tmp_path: Path) -> None:
     for name in ("one.json", "two.json"):
         command("run", recipe, "--dry-run", "--seed", 5, "--json", tmp_path / name)

@@ -87,6 +87,7 @@ def test_what_is_not_accepted_is_neither_written_nor_taken_for_done(factory: Fac
     assert not (state_folder(factory.lab) / FILE).exists()
 
 
+@pytest.mark.slow
 def test_a_balance_that_leans_and_a_mark_that_was_missed_are_refused(factory: Factory) -> None:
     factory.do("servos", "zero", "apex")
     lead, touched = factory.hands._touch, []

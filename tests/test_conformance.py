@@ -160,6 +160,7 @@ def test_a_thread_that_a_device_leaves_behind_is_found(monkeypatch: pytest.Monke
     is_over.set()
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_our_arm_and_our_hand_conform(starter: Lab) -> None:
     clock = WallClock()

@@ -214,6 +214,7 @@ def test_the_arm_is_drawn_where_pinocchio_has_it(waiting: GoesOn, browser: Any) 
             assert math.dist(drawn, data.oMi[7].act(tip_m)) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_run_is_stopped_from_the_page(waiting: GoesOn, browser: Any) -> None:
     client, session, thread = waiting
     with browser_page(browser, client.origin) as page:

@@ -79,6 +79,7 @@ def test_an_exchange_is_asked_for_once_and_the_bare_pan_is_weighed_between(sessi
     assert not [s for s in moves_s if asked_s[1] <= s < answered_s[2]], "nobody meets the arm"
 
 
+@pytest.mark.slow
 def test_who_puts_the_next_one_on_too_soon_is_told_to_take_it_off_again(session: Session) -> None:
     world, cell = session.world, session.cell
     assert world is not None
@@ -187,6 +188,7 @@ class Refusing:
         return True
 
 
+@pytest.mark.slow
 def test_an_arm_that_was_left_over_the_pan_is_parked_before_anything_else(session: Session) -> None:
     cell = session.cell
     place, _ = over_balance(cell.spec, session.plan.recipe.samples[0].container)

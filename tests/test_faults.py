@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from conftest import problems_of
+from daily import first_daily
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from running import Ran, Watching, dry_run, shared_planner
@@ -220,7 +221,7 @@ def test_powder_runs_on_out_of_a_stuck_valve_and_the_arm_stays_where_it_is(tmp_p
     assert ran.session.cell.arm.is_stopped
 
 
-@pytest.mark.parametrize("fault", ["hand.lost", "valve.no_power", "arm.no_power"])
+@pytest.mark.parametrize("fault", first_daily("hand.lost", "valve.no_power", "arm.no_power"))
 def test_a_device_that_cannot_be_told_does_not_keep_a_run_that_ends_waiting(tmp_path: Path, fault: str) -> None:
     ran = run_with(tmp_path, f"fault: {fault}, sample: b")
     assert ran.result.exit_code == 3

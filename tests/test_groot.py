@@ -179,6 +179,7 @@ def test_btview_reads_every_shipped_workflow_as_it_is_built(starter: Lab, name: 
     assert ours == list(range(len(ours)))
 
 
+@pytest.mark.slow
 def test_the_values_of_each_workflow_are_its_blackboard(
     lab: api.OpenLab, tmp_path: Path, publisher: Publisher, viewer: Any
 ) -> None:
@@ -278,6 +279,7 @@ def test_transitions_are_recorded_when_asked_for(lab: api.OpenLab, tmp_path: Pat
     assert all(uid > 0 for uid, _ in found[1:])
 
 
+@pytest.mark.slow
 def test_garbage_at_the_port_and_clients_that_hang_stop_nothing(
     lab: api.OpenLab, tmp_path: Path, publisher: Publisher
 ) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from daily import first_daily
 from dose_bench import DISH, PAN, Bench, Setting, shipped_powders
 from running import dry_run, make_lab
 
@@ -248,7 +249,7 @@ on_failure: {otherwise: flag}
 """
 
 
-@pytest.mark.parametrize("controller", ["adaptive", "paper", "direct_pid"])
+@pytest.mark.parametrize("controller", first_daily("adaptive", "paper", "direct_pid"))
 def test_a_whole_run_trips_nothing(tmp_path: Path, controller: str) -> None:
     ran = dry_run(tmp_path, RECIPE, controller=controller)
     assert ran.result.exit_code != 3, ran.result.reason
@@ -281,6 +282,7 @@ on_failure: {otherwise: ask}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "code"), [("cone.leak", "hand.leak"), ("balance.silent", "device.lost")])
 def test_guards_go_on_while_a_person_is_asked_what_to_do(tmp_path: Path, fault: str, code: str) -> None:
     """The sample fails over the pan; that goes wrong while the person thinks, for a minute."""

@@ -124,6 +124,7 @@ class Once(Between):
         return super().force_mg(bench, dt_s)
 
 
+@pytest.mark.slow
 def test_the_only_step_of_a_run_is_found_where_it_ends_on_a_pan_that_comes_to_rest(tmp_path: Path) -> None:
     ill = Once("opened", "bare", (-3.0,), later_s=3.0, container="b-xrd-2", after_s=3.5)
     falsifier, tally = Falsifier(tmp_path, ("short",)), Tally("once")

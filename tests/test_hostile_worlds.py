@@ -39,6 +39,7 @@ def test_powder_that_no_weighing_can_tell_of_is_a_false_good_and_a_false_exit_co
     assert tally.false_zeros == [f"{RECIPE}, seed 0"]
 
 
+@pytest.mark.slow
 def test_what_falls_into_a_container_after_its_result_counts(falsifier: Falsifier) -> None:
     late = HostileWorld("late", "powder comes when all is over", lambda: [_Late()])
     tally = falsifier.run(late, 8, LUCKY)

@@ -165,6 +165,7 @@ def test_an_arm_too_deep_in_something_stays_where_it_is(tmp_path: Path) -> None:
     assert np.abs(bench.cell.arm.positions - pushed).max() == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_what_a_watcher_was_told_to_see_it_sees_beside_twins_too(tmp_path: Path) -> None:
     lab, clock = lab_that_sees(tmp_path / "lab", f"{OVER_THE_MORTAR}}}"), WallClock()

@@ -368,6 +368,7 @@ def test_a_fresh_sheet_is_as_wide_as_it_is_mounted_whatever_the_roller_has_made_
     assert operator.asked[0][0].endswith("Is a fresh one in the hand now, its rim 90 mm wide?")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("answer", "rim_mm"), [("mounted", 90.0), ("rolled", 48.0)])
 def test_of_a_fresh_sheet_that_was_entered_it_is_asked_what_the_roller_has_made_of_it(
     tmp_path: Path, answer: str, rim_mm: float
@@ -491,6 +492,7 @@ def test_a_real_run_asks_before_another_lot_comes_to_what_earlier_runs_have_put_
     assert 1000.0 < held.mass_mg < (first.mass_mg or 0.0) + 1000.0, "what was there before it was emptied is not there"
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_while_the_inventory_is_written(
     real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

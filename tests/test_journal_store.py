@@ -210,6 +210,7 @@ def test_an_action_begins_once_it_is_on_disk_that_it_does_and_all_before_it(
     assert bench.actions() == [("work", "done")]
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_an_action_waits_for_a_slow_disk_and_the_control_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

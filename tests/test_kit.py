@@ -80,6 +80,7 @@ def test_a_substitution_that_no_call_comes_to_fails_the_test(command: Call, lab_
     assert "trees/mine.test.yaml:7:57: nothing was substituted: no call came to '**/scoop', call 1" in text
 
 
+@pytest.mark.slow
 def test_the_nth_call_alone_fails_and_a_delay_passes_time(command: Call, lab_folder: LabFolder) -> None:
     second = '    substitute: [{at: "**/dispense", call: 1, fails: hand.cone_empty},\n'
     second += '      {at: "*/sequence.1/**/dispense", call: 2, takes: 1 h, fails: dose.not_reached}]\n'
@@ -106,6 +107,7 @@ def test_a_result_is_given_as_yaml_has_it(command: Call, lab_folder: LabFolder) 
     assert (code, "'s' is a unit of duration, not of mass" in text) == (2, True)
 
 
+@pytest.mark.slow
 def test_a_golden_trace_is_written_on_demand_and_another_one_is_shown_as_a_difference(
     command: Call, lab_folder: LabFolder
 ) -> None:

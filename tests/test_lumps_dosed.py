@@ -77,6 +77,7 @@ def test_where_lumps_should_have_been_shaken_out_and_were_not_it_opens_wider(see
     assert all(done.run.finish.reason == "reached" for done in dosed(BRIDGING, POLES, "two poles", 50.0, seed, 2))
 
 
+@pytest.mark.slow
 def test_an_opening_of_lumps_is_open_for_longer_than_its_balance_is_late() -> None:
     """Two hundred openings of 0.6 s each brought 1.5 of 3 g, and taught that the balance is twice as quick as it is."""
     (done,) = dosed(COHESIVE, LATE, "delay", 3000.0, 2, 1)

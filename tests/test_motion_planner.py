@@ -67,6 +67,7 @@ def test_a_motion_keeps_every_joints_limits(planner):
     assert ((q >= LIMITS_RAD[0] - 1e-9) & (q <= LIMITS_RAD[1] + 1e-9)).all()
 
 
+@pytest.mark.slow
 def test_two_planners_answer_the_same_request_with_the_same_motion(planner):
     other = new_planner()
     # In another order: what was planned before must not matter.

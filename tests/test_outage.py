@@ -131,7 +131,7 @@ def test_what_the_outage_adds_to_the_uncertainty_is_in_the_dose(tmp_path: Path) 
     assert cut.sample()["uncertainty_mg"] > found["uncertainty_mg"] > whole.sample()["uncertainty_mg"]
 
 
-@pytest.mark.parametrize("within", ["park", "place_container", "tare"])
+@pytest.mark.parametrize("within", first_daily("park", "place_container", "tare"))
 def test_a_zero_that_moved_while_a_filled_container_stood_there_leaves_its_dose_confirmed(
     tmp_path: Path, within: str
 ) -> None:
@@ -144,7 +144,7 @@ def test_a_zero_that_moved_while_a_filled_container_stood_there_leaves_its_dose_
         assert [dose["bracket"] for dose in run.sample(name)["doses"]] == ["closed"]
 
 
-@pytest.mark.parametrize("at_event", ["asked", "answered", "container_reweighed"])
+@pytest.mark.parametrize("at_event", first_daily("answered", "asked", "container_reweighed"))
 def test_a_cut_while_it_is_settled_what_the_last_one_did_changes_nothing(tmp_path: Path, at_event: str) -> None:
     run = CutRun(tmp_path, "outage.zero_at_power_on")
     run.cut("dispense", 60)
@@ -158,7 +158,7 @@ def test_a_cut_while_it_is_settled_what_the_last_one_did_changes_nothing(tmp_pat
     assert run.told("matter")[-1]["spilled"] == 0.0, "the arm was over the container again"
 
 
-@pytest.mark.parametrize("only", ["outage.container_taken", "outage.container_exchanged"])
+@pytest.mark.parametrize("only", first_daily("outage.container_exchanged", "outage.container_taken"))
 def test_a_container_that_a_hand_took_or_exchanged_counts_no_more_and_its_sample_is_done_in_another(
     tmp_path: Path, only: str
 ) -> None:
@@ -174,7 +174,7 @@ def test_a_container_that_a_hand_took_or_exchanged_counts_no_more_and_its_sample
     assert run.sample()["true_mg"] == pytest.approx(80.0, abs=2.0)
 
 
-@pytest.mark.parametrize(("within", "at_tick"), [("tare", 4), ("move_over", 2)])
+@pytest.mark.parametrize(("within", "at_tick"), first_daily(("tare", 4), ("move_over", 2)))
 def test_a_container_exchanged_before_its_first_powder_counts_no_more(
     tmp_path: Path, within: str, at_tick: int
 ) -> None:

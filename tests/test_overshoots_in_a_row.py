@@ -94,6 +94,7 @@ def test_overshoots_with_a_good_sample_between_them_do_not_stop_it(tmp_path: Pat
     assert ran.result.exit_code == ExitCode.FLAGGED
 
 
+@pytest.mark.slow
 def test_a_sample_that_was_not_dosed_is_no_good_one_between_two_overshoots(tmp_path: Path) -> None:
     recipe = SIX.replace("otherwise: stop", "container.wrong_mass: skip_sample, otherwise: stop")
     ran = run(tmp_path, {1, 2}, recipe, faults="faults: [{fault: container.wrong, sample: b}]")

@@ -119,6 +119,7 @@ def test_what_a_dry_run_has_spilled_is_told_although_its_doses_are_right(tmp_pat
     assert ran_on(tmp_path, "Half").session.notices == []
 
 
+@pytest.mark.slow
 def test_where_no_scoop_brings_anything_the_sample_fails_and_the_mortar_keeps_all_it_held(tmp_path: Path) -> None:
     ran = ran_on(tmp_path, "Nothing")
     assert [sample.code for sample in ran.result.samples] == ["scoop.nothing"]

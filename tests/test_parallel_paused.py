@@ -120,6 +120,7 @@ def test_both_come_to_their_end_before_a_pause_that_halts_none(desk: Desk) -> No
     assert max(ended_s) <= paused_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_s", first_daily(IN_THE_MORTAR_S, SWINGS_S))
 def test_a_run_that_was_stopped_there_is_resumed_to_its_end(desk: Desk, at_s: float) -> None:
     assert desk.go(Wishing("stop_now", at_s)).exit_code == 130

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import pytest
 from conftest import read
+from daily import first_daily
 from numpy.random import Generator
 from running import Ran, dry_run, make_lab, shared_planner
 
@@ -135,7 +136,7 @@ def test_small_doses_of_which_nothing_comes_cost_two_scoops_as_large_ones_do(tmp
     assert len(told(ran, "scoop")) == 2
 
 
-@pytest.mark.parametrize("controller", ["paper", "direct_pid"])
+@pytest.mark.parametrize("controller", first_daily("direct_pid", "paper"))
 def test_every_controller_gives_up_on_a_source_that_gives_nothing(tmp_path: Path, controller: str) -> None:
     recipe = RECIPE.replace("POLICY", "stop")
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller=controller)

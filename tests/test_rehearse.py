@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from daily import first_daily
 from running import Watching, make_lab, shared_planner
 
 from harness.roller_kill import JAR
@@ -161,7 +162,7 @@ def test_a_rehearsal_that_is_stopped_ends_safe_and_leaves_nobody_watched(tmp_pat
     assert np.allclose(arm.positions, rests)
 
 
-@pytest.mark.parametrize("device", ["arm", pytest.param("hand", marks=pytest.mark.slow), "balance"])
+@pytest.mark.parametrize("device", first_daily("arm", "hand", "balance"))
 def test_a_device_that_is_unplugged_at_work_is_named_and_the_cell_ends_safe(
     tmp_path: Path, lab: Lab, device: str
 ) -> None:
@@ -185,6 +186,7 @@ def test_a_device_that_is_unplugged_at_work_is_named_and_the_cell_ends_safe(
     assert seen["has_torque"], "the arm has no brakes"
 
 
+@pytest.mark.slow
 def test_a_plant_that_fails_in_the_middle_ends_the_rehearsal(tmp_path: Path, lab: Lab) -> None:
     opened = HEAD + "  - {id: a, workflow: open}\n"
     session = session_of(tmp_path, lab, Rehearsal(plant="test_rehearse:BreaksSoon"), opened)

@@ -190,6 +190,7 @@ def test_the_powder_of_each_source_adds_up(ran: Ran) -> None:
     assert (beads.start_mg, msg.start_mg) == (20_000.0, 8_000.0)
 
 
+@pytest.mark.slow
 def test_what_failed_and_who_did_what_is_told(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, BATCH, controller=None, faults=NO_FLOW)
     page = Tables(page_of(ran.journal))

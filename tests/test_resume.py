@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import pytest
 from conftest import Bench
+from daily import first_daily
 from running import HEAD, make_lab, shared_planner
 
 from harness.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
@@ -130,7 +131,7 @@ def test_a_batch_that_is_killed_again_and_again_ends_with_every_dose_once(
     assert tally.while_resuming
 
 
-@pytest.mark.parametrize("at_tick", [1, 7, 40, 90, 140])
+@pytest.mark.parametrize("at_tick", first_daily(40, 1, 7, 90, 140))
 def test_a_stopped_run_goes_on_where_it_was(run: Run, at_tick: int) -> None:
     stopped = run.go(Watch("stop_now", at_tick))
     assert stopped.exit_code == 130
@@ -235,6 +236,7 @@ def test_a_complete_run_has_nothing_left_to_do(run: Run) -> None:
         checked_history(run.journal)
 
 
+@pytest.mark.slow
 def test_a_paused_action_is_settled_and_begun_again(run: Run) -> None:
     def when_paused(event: Event | Note) -> None:
         if isinstance(event, Paused):
@@ -261,6 +263,7 @@ def test_a_pause_begins_no_action_and_halts_none(run: Run) -> None:
     assert set(seen) <= {"done", "failed"}
 
 
+@pytest.mark.slow
 def test_a_run_that_stops_after_its_sample_leaves_it_finished(run: Run) -> None:
     stopped = run.go(Watch("stop", 20))
     assert [sample.verdict for sample in stopped.samples] == ["in tolerance", "not run", "not run"]
@@ -553,6 +556,7 @@ def test_a_paused_run_that_is_stopped_moves_nothing_more_and_can_be_resumed(run:
     assert run.go(Watch(), resumes=True).exit_code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pause", ["pause", "pause_now"])
 def test_a_guard_that_trips_in_a_pause_ends_the_run_and_the_sample_is_interrupted(
     run: Run, pause: str, monkeypatch: pytest.MonkeyPatch

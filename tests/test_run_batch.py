@@ -79,6 +79,7 @@ samples: [{id: a, source: beads}, {id: b, source: msg}, {id: c, source: beads}]
     assert ran.session.world.masses_mg["returned"] == 0.0
 
 
+@pytest.mark.slow
 def test_order_as_written_swaps_the_sheet_at_each_change(tmp_path: Path) -> None:
     recipe = """
 recipe: two
@@ -279,6 +280,7 @@ def lab_with_changer(folder: Path, changer: str) -> Path:
     return lab
 
 
+@pytest.mark.slow
 def test_an_empty_changer_is_filled_by_a_person_whom_the_plan_named(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, THREE_DOSES, lab=lab_with_changer(tmp_path / "lab", "{driver: carousel, slots: 2}"))
     assert [person.job for person in ran.session.plan.persons] == ["s-3"]

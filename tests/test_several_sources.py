@@ -273,6 +273,7 @@ def test_two_powders_into_one_crucible_need_one_tare_and_each_is_measured_by_its
             assert net_mg + float(row["earlier_mg"]) == pytest.approx(float(row["net_mg"]), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_after_a_failure_the_cone_is_emptied_into_the_source_that_it_was_filled_from(
     tmp_path: Path, lab: LabFolder
 ) -> None:

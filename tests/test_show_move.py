@@ -176,6 +176,7 @@ def test_a_loads_spill_angle_is_plotted_under_its_limit() -> None:
     assert 0 < spill.values.max() <= 12.0
 
 
+@pytest.mark.slow
 def test_the_picture_is_a_png(tmp_path: Path) -> None:
     move_png(shown(), tmp_path / "move.png")
     assert (tmp_path / "move.png").read_bytes().startswith(b"\x89PNG")

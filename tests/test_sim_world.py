@@ -101,6 +101,7 @@ def test_moving_more_than_there_is_or_nan_is_refused() -> None:
             world.ledger.transfer(CONE, WASTE, mass_mg)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_dose_and_another_gives_another() -> None:
     first, again, other = (bench(seed=seed).dose("adaptive") for seed in (5, 5, 6))
     assert first == again

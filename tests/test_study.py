@@ -79,6 +79,7 @@ def test_a_trial_is_the_same_in_any_process_and_after_any_other(setup: Setup) ->
     assert not (setup.lab / ".scuhand").exists(), "it leaves no run behind"
 
 
+@pytest.mark.slow
 def test_nobody_is_told_of_a_trial(setup: Setup, tmp_path: Path) -> None:
     cell, told = setup.lab / "robot" / "cell.yaml", tmp_path / "told"
     cell.write_text(f"{cell.read_text(encoding='utf-8')}\nnotify: {{command: [touch, {told}]}}\n", encoding="utf-8")
@@ -254,6 +255,7 @@ def test_tables_beside_a_recipe_below_it_and_elsewhere_in_the_lab_are_tried_too(
     assert [sample.id for sample in one.samples] == ["p1", "p2", "q1", "q2", "r1", "r2"]
 
 
+@pytest.mark.slow
 def test_what_is_wrong_in_another_process_is_told_here(setup: Setup) -> None:
     wrong = replace(setup, changes=((FLOW, "-3"),)), replace(setup, plant="nowhere:Nothing")
     with executor_of(1, None) as executor:

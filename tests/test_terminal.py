@@ -350,6 +350,7 @@ def test_who_watches_sees_what_is_under_way_and_what_waits(tmp_path: Path, ran: 
     journal.close()
 
 
+@pytest.mark.slow
 def test_watching_a_run_to_its_end_says_what_to_do_next(tmp_path: Path, command: Call) -> None:
     lab = make_lab(tmp_path / "lab")
     run = Run(tmp_path, lab, BATCH)
@@ -365,6 +366,7 @@ def test_watching_a_run_to_its_end_says_what_to_do_next(tmp_path: Path, command:
 # --- how much is told
 
 
+@pytest.mark.slow
 def test_each_action_and_why_it_failed_is_told_if_wished(tmp_path: Path) -> None:
     lines: list[str] = []
     plain = PlainLines(lines.append, 3, each_action=True)

@@ -266,6 +266,7 @@ def test_a_rehearsal_that_was_killed_goes_on_with_its_twins_or_with_their_world(
     assert not have_their_process(folder), "they end with a run that has ended"
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_twins_that_die_within_a_rehearsal_end_it_and_it_is_resumed(tmp_path: Path, lab: Lab) -> None:
     folder = tmp_path / "twins"

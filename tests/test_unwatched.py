@@ -107,7 +107,7 @@ def test_what_is_wrong_is_in_the_exit_code_though_nobody_can_be_told(tmp_path: P
     assert subprocess.run(["bash", "-c", line], cwd=REPOSITORY, capture_output=True, timeout=60).returncode == 2
 
 
-@pytest.mark.parametrize("asks", [["faults"], ["runs", "--json"]])
+@pytest.mark.parametrize("asks", first_daily(["faults"], ["runs", "--json"]))
 def test_what_a_full_disk_does_not_take_was_not_told_and_is_said_to_be(tmp_path: Path, asks: list[str]) -> None:
     told = [sys.executable, "-m", "scuhand_bt", *asks]
     with Path("/dev/full").open("w") as full:
@@ -257,6 +257,7 @@ def test_a_skill_that_hangs_is_ended_with_code_3_and_named(lab_folder: LabFolder
     assert (state, code) == ("fault", 3)
 
 
+@pytest.mark.slow
 def test_a_device_that_hangs_when_it_is_told_to_stop_keeps_no_run_from_its_end(recipe: Path) -> None:
     program = "import time; from scuhand_bt.sim.hand import SimulatedHand; SimulatedHand.stop = lambda self: "
     program += "time.sleep(3600); from scuhand_bt.cli import main, supervisor; supervisor.HANGS_S = 1.0; main()"

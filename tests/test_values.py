@@ -467,6 +467,7 @@ def test_a_mixture_doses_the_second_powder_by_what_was_measured_of_the_first_and
     assert any('"ratio"' in row and '"recorded"' in row for row in rows)
 
 
+@pytest.mark.slow
 def test_a_container_that_is_discarded_has_no_say_in_its_sample(tmp_path: Path) -> None:
     recipe = """\
 workflow: prime_and_fill

@@ -6,7 +6,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from conftest import read
-from daily import first_daily
 from numpy.random import Generator
 from running import Ran, dry_run
 
@@ -75,7 +74,8 @@ def scoops(ran: Ran) -> list[tuple[int, float, float]]:
     return [(doses, mass_mg, came_mg) for (doses, mass_mg), came_mg in zip(expected, brought_mg, strict=True)]
 
 
-@pytest.mark.parametrize(("plant", "mass", "off_by"), first_daily(("Half", "2400 mg", 0.1), ("Double", "2 g", 0.25)))
+@pytest.mark.slow
+@pytest.mark.parametrize(("plant", "mass", "off_by"), [("Half", "2400 mg", 0.1), ("Double", "2 g", 0.25)])
 def test_what_a_scoop_brings_is_believed_after_three_doses(
     tmp_path: Path, plant: str, mass: str, off_by: float
 ) -> None:

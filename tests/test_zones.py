@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from daily import first_daily
 from running import make_lab, shared_planner, simulated_bench
 
 from scuhand_bt.bench_spec import Obstacle
@@ -357,6 +358,7 @@ def test_what_a_dose_that_gave_out_has_left_in_the_cone_is_poured_into_the_morta
     assert not cell.believed.has_rest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_vessel", [False, True])
 def test_what_such_a_dose_has_left_goes_to_waste_before_the_next_scoop_where_leftovers_do(
     starter: Lab, motion: MotionPlanner, monkeypatch: pytest.MonkeyPatch, is_vessel: bool
@@ -399,7 +401,7 @@ def test_a_vessel_that_a_cone_was_not_emptied_into_to_the_end_is_known_to_hold_t
     assert cell.believed.cone_mg == 3000.0
 
 
-@pytest.mark.parametrize("after_s", [2.5, 3.5, 4.5])
+@pytest.mark.parametrize("after_s", first_daily(2.5, 3.5, 4.5))
 def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
     """On its way into the powder, along the wall, and as it turns upright."""
     bench, source = scooping_bench(starter, motion)
@@ -474,6 +476,7 @@ def test_a_scoop_that_is_halted_where_the_arm_cannot_go_straight_up_comes_up_wit
     assert bench.world.masses_mg["spilled"] == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("skill", "leftover", "rest_mg", "goes_to"),
     [("return_leftover", "return", 0.0, "source:beads"), ("scoop", "discard", 60.0, "waste")],
