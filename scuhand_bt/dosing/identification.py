@@ -183,16 +183,19 @@ def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBeli
     """What is believed once an opening has told something: taken in by how sure it is.
 
     What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
-    Powder that is held up makes a balance look quicker than it is: no opening makes it quicker than a container has,
-    but for the doubt that a step leaves.
+    Powder that is held up makes a balance look quicker than it is: an opening that contradicts a container so counts
+    for the quickest that the container allows, and none makes it quicker than that.
     """
     if found is None or found.doubt > TELLS:
         return known
-    least_s = known.shown_s * math.exp(-STEP_DOUBT)
-    found = found.model_copy(update={"lag_s": max(found.lag_s, least_s / 2.0), "shown_s": known.shown_s})
+    shown_s = known.shown_s / 2.0
+    least_s = shown_s * math.exp(-STEP_DOUBT)
+    if found.lag_s < shown_s * math.exp(-2.0 * math.hypot(found.doubt, STEP_DOUBT)):
+        found = found.model_copy(update={"lag_s": least_s})
     doubt = max(found.doubt, LEAST_DOUBT)
     if known.fits == 0:
-        return found.model_copy(update={"fits": 1, "doubt": doubt})
+        lag_s = max(found.lag_s, least_s)
+        return found.model_copy(update={"fits": 1, "doubt": doubt, "lag_s": lag_s, "shown_s": known.shown_s})
     apart = math.log(found.lag_s / known.lag_s)
     share = known.doubt**2 / (known.doubt**2 + doubt**2)
     agreed = doubt * math.sqrt(share)
@@ -202,7 +205,7 @@ def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBeli
     return known.model_copy(
         update={
             "fits": known.fits + 1,
-            "lag_s": known.lag_s * math.exp(share * apart),
+            "lag_s": max(known.lag_s * math.exp(share * apart), least_s),
             "doubt": max(LEAST_DOUBT, math.hypot(agreed, contradicted)),
         }
     )
