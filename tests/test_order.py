@@ -1,5 +1,6 @@
 """The order of a batch's samples: how often the sheet is changed, and when a person has to."""
 
+from collections import Counter
 from collections.abc import Iterable
 from itertools import pairwise, permutations
 from types import SimpleNamespace
@@ -44,7 +45,7 @@ samples:
 
 def sample(name: str, first: str, last: str) -> Any:
     lots = [SimpleNamespace(sheet_key=lot) for lot in (first, last)]
-    return SimpleNamespace(id=name, sources=lots[:1], last_source=lots[1])
+    return SimpleNamespace(id=name, sources=lots, last_source=lots[1])
 
 
 def changes(order: Iterable[Any]) -> int:
@@ -118,6 +119,31 @@ def test_a_lot_whose_samples_need_a_person_themselves_is_neither_first_nor_last(
     samples = [sample("m", "a", "b"), sample("n", "a", "b"), sample("c", "c", "c"), sample("d", "d", "d")]
     found = in_order("persons_together", samples, lambda one: 100.0 if one.id in "mn" else 1.0)
     assert [one.id for one in found] == ["c", "m", "n", "d"]
+
+
+def test_a_mixture_does_not_bring_a_person_into_a_stretch_of_samples_of_one_lot() -> None:
+    """Who came at both ends of a long stretch for one mixture of its lot, where in any other order once was enough."""
+    samples = [sample("a-1", "a", "a"), sample("mix", "a", "b"), sample("a-2", "a", "a"), sample("b", "b", "b")]
+    found = in_order("persons_together", samples, lambda one: 1.0 if one.id == "mix" else 3600.0)
+    assert [one.id for one in found] == ["a-1", "a-2", "mix", "b"]
+
+
+def test_a_sample_that_comes_back_to_its_first_lot_needs_a_person_all_the_same() -> None:
+    back = sample("back", "a", "a")
+    back.sources.append(SimpleNamespace(sheet_key="b"))
+    found = in_order("persons_together", [back, sample("c", "c", "c"), sample("d", "d", "d")], lambda _: 1.0)
+    assert [one.id for one in found] == ["c", "back", "d"]
+
+
+@given(st.lists(st.tuples(st.sampled_from("abcd"), st.sampled_from("abcd")), max_size=8))
+def test_what_needs_a_person_is_between_the_two_longest_stretches(ends: list[tuple[str, str]]) -> None:
+    samples = [sample(str(number), *lots) for number, lots in enumerate(ends)]
+    found = in_order("persons_together", samples, lambda _: 1.0)
+    assert sorted(map(id, found)) == sorted(map(id, samples))
+    alone = sorted(Counter(first for first, last in ends if first == last).values(), reverse=True)
+    of_one = ["".join({one.sources[0].sheet_key, one.last_source.sheet_key}) for one in found]
+    for stretch, many in zip((of_one, of_one[::-1]), alone, strict=False):
+        assert len(set(stretch[:many])) == 1
 
 
 def test_the_longest_lot_comes_first_behind_what_takes_no_powder() -> None:

@@ -3,8 +3,9 @@
 by_powder         by the lot that each begins with, in the order of first mention
 as_written        as the recipe says
 fastest           with as few changes of the sheet between samples as there can be; by powder where that has as few
-persons_together  by powder, with the two longest stretches that need no person first and last, the longest first:
-                  whoever changes the sheets is needed only between them. What takes no powder comes before them
+persons_together  the two longest stretches that need no person, samples of one lot each, first and last, the longest
+                  first; all others between them as `fastest`, so that whoever changes the sheets is needed only there.
+                  What takes no powder comes before them
 """
 
 from collections import defaultdict, deque
@@ -24,16 +25,25 @@ def in_order(order: str, samples: Sequence[Sample], duration_s: Callable[[Sample
         grouped, fewest = in_order("by_powder", samples, duration_s), _with_fewest_changes(samples)
         # Of as many changes the changer might have to be filled once more.
         return fewest if _changes(fewest) < _changes(grouped) else grouped
+    if order == "persons_together":
+        return _with_persons_between(samples, duration_s)
     groups: dict[str, list[Sample]] = defaultdict(list)
     for sample in samples:
         groups[_first(sample)].append(sample)
-    lots = list(groups)
-    if order == "persons_together":
-        alone = [lot for lot in lots if lot and all(_first(one) == _last(one) for one in groups[lot])]
-        alone.sort(key=lambda lot: -sum(map(duration_s, groups[lot])))
-        first, last = [*(lot for lot in lots if not lot), *alone[:1]], alone[1:2]
-        lots = [*first, *(lot for lot in lots if lot not in (*first, *last)), *last]
-    return [sample for lot in lots for sample in groups[lot]]
+    return [sample for group in groups.values() for sample in group]
+
+
+def _with_persons_between(samples: Sequence[Sample], duration_s: Callable[[Sample], float]) -> list[Sample]:
+    alone: dict[str, list[Sample]] = defaultdict(list)
+    for sample in samples:
+        if len(lots := {source.sheet_key for source in sample.sources}) == 1:
+            alone[lots.pop()].append(sample)
+    longest = sorted(alone.values(), key=lambda group: -sum(map(duration_s, group)))
+    first, last = [*longest, [], []][:2]
+    at_ends = {id(sample) for sample in (*first, *last)}
+    without_powder = [sample for sample in samples if not sample.sources]
+    between = [sample for sample in samples if sample.sources and id(sample) not in at_ends]
+    return [*without_powder, *first, *in_order("fastest", between, duration_s), *last]
 
 
 def _first(sample: Sample) -> str:
