@@ -32,14 +32,15 @@ from scuhand_bt.fleet.station import Manner, Station
 from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
-from scuhand_bt.journal.run_events import Continued, Paused, RunBegun
+from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.run_events import Continued, Ended, Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.lab_state.inventory import Inventory, StockEntry
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from tests.test_journal import HEADER
+from tests.test_journal import HEADER, RESULT
 
 pytestmark = pytest.mark.xdist_group("postgres")
 RECIPE = """recipe: queued
@@ -514,6 +515,28 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
 
     run(check())
     assert len(journals(lab)) == 2
+
+
+def test_the_queue_tells_a_sample_that_is_not_good_though_in_tolerance_from_those_that_are(
+    database: str, tmp_path: Path, order: Submission
+) -> None:
+    """Its dose was not confirmed by the bare pan: the queue counted it with the others, the run did not."""
+    lab = make_lab(tmp_path / "lab")
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("here",))])
+            await queue.take("here")
+            with closing(Journal(lab / ".scuhand" / "runs" / "night.sqlite", durable=False)) as written:
+                written.event(begun_for(order))
+                for name, code in (("a", None), ("b", "balance.bracket_open")):
+                    written.event(SampleResult.model_validate({**RESULT, "id": name, "code": code}))
+                written.event(Ended(exit_code=1, reason="", complete=True))
+            station = Station(queue, lab, "here", Manner(operator="Ada"), print, look_s=0.1)
+            (job,) = await works(station, queue, all_over)
+            assert (job.status, job.said) == ("succeeded", "done (1 in tolerance, 1 in tolerance but not good)")
+
+    run(check())
 
 
 def test_what_holds_up_a_run_and_how_much_of_it_is_left_is_said_in_the_queue_and_of_its_station(

@@ -12,6 +12,7 @@ import math
 import secrets
 import sqlite3
 import sys
+from collections import Counter
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ from scuhand_bt.journal.history import History, read_history
 from scuhand_bt.journal.pace import time_left_s
 from scuhand_bt.journal.presence import Held, Presence, is_held
 from scuhand_bt.journal.reader import open_journal
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.store import read_only
 from scuhand_bt.lab import Lab, load_lab, state_folder
@@ -332,11 +334,15 @@ def key_of(journal: Path) -> str | None:
 
 
 def _came_to(history: History) -> str:
-    last = {sample: result.verdict for (sample, _), result in history.samples.items()}
-    verdicts = list(last.values())
-    counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in dict.fromkeys(verdicts))
+    last = {sample: result for (sample, _), result in history.samples.items()}
+    counts = ", ".join(f"{many} {words}" for words, many in Counter(map(_in_words, last.values())).items())
     why = (history.ended.reason or "done") if history.ended is not None else "it was killed"
     return f"{why} ({counts or 'no sample done'})"
+
+
+def _in_words(result: SampleResult) -> str:
+    is_doubtful = result.verdict == "in tolerance" and not result.is_good
+    return f"{result.verdict} but not good" if is_doubtful else result.verdict
 
 
 def _identity(file: Path) -> str:
