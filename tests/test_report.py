@@ -95,6 +95,11 @@ def test_the_runs_summary_and_every_dose_with_its_curve_are_in_it(ran: Ran) -> N
     assert page.elements.count("figure") == len(ran.result.samples)
 
 
+def test_who_reads_the_times_of_jobs_sees_their_unit(ran: Ran) -> None:
+    """It stood in the table's name alone, which only a screen reader says."""
+    assert "Run time, of each job in seconds." in Tables(page_of(ran.journal)).text
+
+
 def test_the_data_in_it_are_what_export_writes(ran: Ran, tmp_path: Path, command: Call) -> None:
     links = dict(re.findall(r'download="([^"]+)" href="data:application/gzip;base64,([^"]+)"', page_of(ran.journal)))
     for suffix in ("csv", "json"):

@@ -45,7 +45,7 @@ def preview_page(
             ("time", _range(odds.duration_s, format_duration)),
             ("samples in tolerance", f"{odds.good:.1f} of {len(recipe.samples)}"),
             ("sheet swaps between samples", str(plan.swaps)),
-            ("times that a person is needed", str(sum(person.job is not None for person in plan.persons))),
+            ("moments that need a person", str(sum(person.job is not None for person in plan.persons))),
         ],
         jobs=list(_jobs(plan, odds)),
         powder_columns=_powder_columns(odds),
