@@ -561,6 +561,21 @@ def test_places_that_there_are_not_are_told_together_with_ranges_that_are_none(s
     assert told == ["'design'", "'nowhere.x'", "'recipe.samples.0.mass'", "'recipe.y'"]
 
 
+def test_draws_that_are_no_power_of_two_are_told_together_with_a_range_that_is_none(
+    setup: Setup, tmp_path: Path
+) -> None:
+    """They were told only when all else had been mended."""
+    path = tmp_path / "vary.yaml"
+    path.write_text(
+        "design: sobol\ndraws: 3\nvary: {recipe.samples.0.mass: {from: 60 mg, to: 20 mg}}\n", encoding="utf-8"
+    )
+    with pytest.raises(SourceError) as wrong:
+        read_vary(path, setup.recipe, setup.lab)
+    draws, places = wrong.value.problems
+    assert str(draws) == f"{path}:2:8: 'draws': '3' is not accepted; a sobol design takes a power of two"
+    assert places.message.startswith("'recipe.samples.0.mass'")
+
+
 def test_a_value_that_may_not_be_is_told_before_the_first_dry_run(
     setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 from scipy.stats import qmc, sobol_indices, spearmanr
 
 from scuhand_bt.lab import load_lab
@@ -77,6 +77,13 @@ class Vary(Spec):
     design: Literal["latin_hypercube", "sobol", "grid"] = "latin_hypercube"
     draws: Annotated[int, Field(gt=0, le=MOST_DRAWS)] = 64
     vary: Annotated[dict[str, Given], Field(min_length=1)]
+
+    @field_validator("draws")
+    @classmethod
+    def _is_for_the_design(cls, draws: int, others: ValidationInfo) -> int:
+        if others.data.get("design") == "sobol" and draws & (draws - 1):
+            raise ValueError("a sobol design takes a power of two")
+        return draws
 
     def changes(self, seed: int = 0) -> list[Changes]:
         """The draws, each with a value for every place; the same ones for the same seed.
@@ -144,8 +151,6 @@ def read_vary(path: Path, recipe: Path, lab: Path) -> Vary:
     problems = Problems()
     root = load(path, "a file of what to vary")
     vary = validate(Vary, root, problems, "such as {vary: {cell.balance.readability: [0.1 mg, 1 mg]}},")
-    if vary is not None and vary.design == "sobol" and vary.draws & (vary.draws - 1):
-        problems.add(root.mark, f"{vary.draws} draws", "a sobol design takes a power of two")
     if vary is not None and vary.design == "grid" and (many := vary.points) > MOST_DRAWS:
         problems.add(root.mark, f"a grid of {many} points", f"at most {MOST_DRAWS}: fewer `draws`, or another design")
     places = root.get("vary") if isinstance(root, Entries) else None
