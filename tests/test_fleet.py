@@ -166,9 +166,21 @@ def test_an_order_that_no_station_can_do_says_what_is_missing_where(
         f"{plan.recipe.path}: no station can do it: at bare it has no powder 'glass_beads'; it has no mortar "
         "'agate_mortar'; at real it is a real one, and simulated devices are asked for"
     )
-    for only, words in ((None, "there is no station"), ("nowhere", "no such station")):
-        with pytest.raises(SourceError, match=words):
-            choose([order], [], only)
+
+
+def test_where_there_is_no_station_or_none_of_that_name_it_is_said_what_there_is(
+    order: Submission, offer: Offer
+) -> None:
+    begin = "`scuhand-bt station` at a cell begins one"
+    stations = [known(offer, "first", 0.0), known(offer, "second", 0.0)]
+    for of, only, said in (
+        ([], None, f"--database: there is no station; {begin}"),
+        ([], "frist", f"--station: there is no station 'frist'; {begin}"),
+        (stations, "frist", "--station: there is no station 'frist'; known: first, second; did you mean 'first'?"),
+    ):
+        with pytest.raises(SourceError) as error:
+            choose([order], of, only)
+        assert str(error.value) == said
 
 
 # --- what an order carries

@@ -24,7 +24,7 @@ from pydantic import ValidationError
 
 from scuhand_bt.fleet.needs import Offer, missing
 from scuhand_bt.fleet.order import Files, Order, Submission
-from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.problems import Mark, Problem, Problems, SourceError
 
 TASK = "scuhand-bt run"
 ABSENT_S = 60.0
@@ -136,16 +136,20 @@ def choose(submitted: Sequence[Submission], known: Sequence[KnownStation], only:
     A station that is not there comes last. SourceError, with what is missing at which, where none can.
     """
     stations = [station for station in known if only in (None, station.name)]
+    if not stations:
+        names, none = [station.name for station in known], Problems()
+        mark, what = ("--database", "") if only is None else ("--station", f" '{only}'")
+        begin = "" if names else "`scuhand-bt station` at a cell begins one"
+        none.add(Mark(mark, 0), f"there is no station{what}", begin, unknown=only or "", known=names)
+        none.raise_any()
     ahead_s = {station.name: station.ahead_s for station in stations}
     chosen, problems = [], []
     for one in submitted:
         order, lacks = one.order, {station.name: _lacks(station, one) for station in stations}
         able = [station for station in stations if not lacks[station.name]]
         if not able:
-            what = "no station can do it" if stations else "there is no station" if only is None else "no such station"
             whys = [f"at {name} {'; '.join(lack)}" for name, lack in lacks.items()]
-            where = Mark(str(one.path) if only is None or stations else f"--station {only}", 0)
-            problems.append(Problem(where, ": ".join([what, "; ".join(whys)]) if whys else what))
+            problems.append(Problem(Mark(str(one.path), 0), f"no station can do it: {'; '.join(whys)}"))
             continue
         able.sort(key=lambda station: (not station.is_there, ahead_s[station.name], station.name))
         ahead_s[able[0].name] += order.duration_s
