@@ -26,9 +26,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from scuhand_bt.dosing.bed import THIN_MM, Layer, Pass
+from scuhand_bt.dosing.bed import BENDS_MM, THIN_MM, Layer, Pass
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import (
+    BENT_LIMIT,
     CLOSING_MM,
     GAP_GRID_MM,
     GRAINS_CLEAR,
@@ -60,6 +61,8 @@ WIDEST_MM, SIZES_MM = 150.0, 5.0
 """What would do in place of a jar that no stroke can be made in is looked for in such steps."""
 COUNTED_ON_DEG = (90.0, 270.0, 120.0, 240.0)
 """The directions that a plan counts on before the arm is asked; in the jars that were tried it can make 4 to 6."""
+RUNS_MM = 5.0
+"""How far a stroke goes is looked at at gaps in such steps, and is between them what lies between."""
 CELL_MM = 2.0
 """Of the grid on which what lies in a jar is believed."""
 
@@ -93,7 +96,12 @@ class JarBed:
 
     def most_mg(self, stroke: Stroke) -> float:
         """What a stroke brings that keeps all that it meets."""
-        return self._above_mg(self._thick_mm, stroke)
+        return self._above_mg(self._thick_mm, self._passed(stroke))
+
+    def _bent_mg(self, stroke: Stroke) -> float:
+        """What it brings besides if the sheet bends down to the floor."""
+        left = self._passed(stroke)
+        return self._above_mg(self._thick_mm, replace(left, left_mm=max(0.0, left.left_mm - BENDS_MM)))
 
     def left_by(self, stroke: Stroke) -> Layer:
         """What a stroke is expected to leave."""
@@ -139,12 +147,17 @@ class JarBed:
         def at(steps: int) -> Stroke:
             return replace(deepest, gap_mm=steps * GAP_GRID_MM)
 
+        bent_limit_mg = BENT_LIMIT * max(wanted_mg, self.powder.load_limit_mg)
+
+        def may_be(steps: int) -> bool:
+            return self.most_mg(at(steps)) <= wanted_mg and self._bent_mg(at(steps)) <= bent_limit_mg
+
         clear, all_left = (
             math.ceil(mm / GAP_GRID_MM)
             for mm in (grains * self.powder.grain_mm, self._thick_mm.max() + LOOSE_GRAINS * self.powder.grain_mm)
         )
         steps = range(clear, max(clear, all_left) + 1)
-        return at(steps[bisect_left(steps, -wanted_mg, key=lambda one: -self.most_mg(at(one)))])
+        return at(steps[bisect_left(steps, True, key=may_be)])
 
     def _passed(self, stroke: Stroke) -> Pass:
         loose_mm = LOOSE_GRAINS * self.powder.grain_mm if stroke.gap_mm > LIP_GAP_MM else 0.0
@@ -152,10 +165,10 @@ class JarBed:
 
     def _of_heap_mg(self, stroke: Stroke) -> float:
         """What it meets of the heap in the middle."""
-        return self.most_mg(stroke) - self._above_mg(self._left_mm, stroke)
+        return self.most_mg(stroke) - self._above_mg(self._left_mm, self._passed(stroke))
 
-    def _above_mg(self, thick_mm: Floats, stroke: Stroke) -> float:
-        return self._mg_per_mm * float(np.maximum(thick_mm - self._most_mm(self._passed(stroke)), 0.0).sum())
+    def _above_mg(self, thick_mm: Floats, passed: Pass) -> float:
+        return self._mg_per_mm * float(np.maximum(thick_mm - self._most_mm(passed), 0.0).sum())
 
     def _heap(self, out_mm: Floats) -> Floats:
         """How thick lies what has come since, poured onto the middle, as steep as its repose."""
@@ -186,7 +199,7 @@ class JarBed:
 
     def _most_mm(self, one: Pass) -> Floats:
         """How thick a stroke leaves what lies there at most: no end of it where the stroke does not go."""
-        heading, (begin_mm, end_mm) = math.radians(one.heading_deg), _run_mm(self.mortar, self._ladle)
+        heading, (begin_mm, end_mm) = math.radians(one.heading_deg), _run_mm(self.mortar, self._ladle, one.left_mm)
         along_mm = self._x_mm * math.cos(heading) + self._y_mm * math.sin(heading)
         aside_mm = self._y_mm * math.cos(heading) - self._x_mm * math.sin(heading)
         stroke = along_floor(self.mortar, self._ladle.slant_mm)
@@ -253,7 +266,7 @@ def sure_doses(
 def has_way(mortar: Mortar, ladle: Ladle) -> bool:
     """Whether the hand can bring the lip along a jar's floor, whatever the arm can."""
     try:
-        _run_mm(mortar, ladle)
+        _run_at_mm(mortar, ladle, LIP_GAP_MM)
     except NoStrokeError:
         return False
     return True
@@ -286,9 +299,16 @@ def corner_of(jar: Mortar) -> float:
     return jar.corner_mm
 
 
-@lru_cache(maxsize=64)
-def _run_mm(mortar: Mortar, ladle: Ladle) -> tuple[float, float]:
-    """From where to where the lip goes along the floor; NoStrokeError where it cannot."""
-    path = stroke_path(Vessel.of(mortar), along_floor(mortar, ladle.slant_mm), ladle)
-    lips_mm = path.lip_mm[path.on_wall, 0]
-    return float(lips_mm[0]), float(lips_mm[-1])
+def _run_mm(mortar: Mortar, ladle: Ladle, gap_mm: float) -> Floats:
+    """From where to where the lip goes, so far above the floor: (2,); NoStrokeError where it cannot go along it."""
+    below = math.floor(gap_mm / RUNS_MM)
+    first, then = (_run_at_mm(mortar, ladle, max(LIP_GAP_MM, step * RUNS_MM)) for step in (below, below + 1))
+    run: Floats = first + (gap_mm / RUNS_MM - below) * (then - first)
+    return run
+
+
+@lru_cache(maxsize=256)
+def _run_at_mm(mortar: Mortar, ladle: Ladle, gap_mm: float) -> Floats:
+    path = stroke_path(Vessel.of(mortar), replace(along_floor(mortar, ladle.slant_mm), gap_mm=gap_mm), ladle)
+    run: Floats = path.lip_mm[path.on_wall][[0, -1], 0]
+    return run
