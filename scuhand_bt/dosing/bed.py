@@ -28,7 +28,7 @@ SIDES_MM = 0.4
 BENDS_MM = 0.5
 """How far the sheet may bend down to the wall: assumed, not measured. What is expected is a rigid one's."""
 RINGS = 100
-THIN_MM = 0.01
+THIN_MM, THIN_MG = 0.01, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +52,8 @@ class Layer:
     """What has fallen back before lips that left the wall, besides: high up, where the next strokes find little."""
     missed_mg: float = 0.0
     """Of that, what is there only because the last stroke did not find it: the next one may find it all the same."""
+    more_mg: float = 0.0
+    """What the last stroke may have brought besides, as the sheet bends: who pours its load back, pours that as well."""
     passes: tuple[Pass, ...] = ()
     """In a jar (`jars.py`), the last stroke along each heading."""
 
@@ -74,7 +76,7 @@ class Bed:
             thick_mm: Floats = np.maximum(level_mm - falls * self._out_mm - radius_mm * (1 - cosine), 0.0) * cosine
             return thick_mm
 
-        falls = math.tan(math.radians(powder.repose_deg)) if is_heaped else 0.0
+        self._falls = math.tan(math.radians(powder.repose_deg)) if is_heaped else 0.0
 
         self.if_found: Bed | None
         """The same, if the last stroke has missed nothing, and what it lacked was poured back as a heap."""
@@ -91,12 +93,23 @@ class Bed:
             self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm + self._sides_mm), layer.mass_mg)
             self._thick_mm *= min(1.0, mass_mg / max(layer.mass_mg, THIN_MM))
         left_mm = self._thick_mm
-        self._fill(lambda at_mm: np.maximum(level_mm(at_mm, falls), left_mm), mass_mg)
+        self._fill(lambda at_mm: np.maximum(level_mm(at_mm, self._falls), left_mm), mass_mg)
         self._lies = self._thick_mm > (left_mm if is_heaped else 0.0) + THIN_MM
+
+        self.if_heaped: Bed | None = None
+        """The same, if what has come since the last stroke was poured back as a heap: in a bowl filled above its half."""
+        self.if_more: Bed | None = None
+        """And if the last stroke has brought all that it may."""
+        self._is_high = is_heaped or self.surface_mm > mortar.depth_mm / 2
+        if layer is not None and self._is_high and not is_heaped and mass_mg > layer.mass_mg + THIN_MG:
+            more = replace(layer, mass_mg=max(0.0, layer.mass_mg - layer.more_mg))
+            self.if_heaped, self.if_more = (
+                Bed(mortar, self.mass_mg, powder, one, is_heaped=True) for one in (layer, more)
+            )
 
     def _fill(self, up_to: Callable[[float], Floats], mass_mg: float) -> None:
         """As thick as it is up to the level that makes this mass."""
-        low_mm, high_mm = 0.0, self.mortar.depth_mm
+        low_mm, high_mm = 0.0, self.mortar.depth_mm + self._falls * self.mortar.bore_mm / 2
         while high_mm - low_mm > THIN_MM:
             middle_mm = (low_mm + high_mm) / 2
             if self._mass_mg(up_to(middle_mm)) < mass_mg:
@@ -125,9 +138,13 @@ class Bed:
         return self._mass_mg(above_mm - np.minimum(slip_mm, above_mm / 3))
 
     def above_bent_mg(self, gap_mm: float, rim_mm: float) -> float:
-        """What is farther from the wall than a rim that has bent down to it, which is narrower than the bowl."""
-        narrower = max(0.0, 2 / rim_mm - 1 / self.mortar.bowl_radius_mm)
-        left_mm = max(0.0, gap_mm - BENDS_MM) + narrower * self._out_mm**2 / 4
+        """What is farther from the wall than a rim that has bent down to it.
+
+        It is narrower than the bowl; in one filled above its half it may be wider than what the lip follows.
+        """
+        radius_mm = self.mortar.bowl_radius_mm
+        narrower = 2 / rim_mm - 1 / (radius_mm - gap_mm) if self._is_high else max(0.0, 2 / rim_mm - 1 / radius_mm)
+        left_mm = np.maximum(0.0, max(0.0, gap_mm - BENDS_MM) + narrower * self._out_mm**2 / 4)
         return self._mass_mg(np.maximum(self._thick_mm - left_mm, 0.0))
 
     def _mass_mg(self, thick_mm: Floats) -> float:

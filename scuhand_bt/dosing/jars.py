@@ -26,7 +26,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from scuhand_bt.dosing.bed import BENDS_MM, THIN_MM, Layer, Pass
+from scuhand_bt.dosing.bed import BENDS_MM, THIN_MG, THIN_MM, Layer, Pass
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import (
     BENT_LIMIT,
@@ -86,7 +86,10 @@ class JarBed:
         self.missed_mg = min(layer.missed_mg, mass_mg)
         self._passes, self._came_mg = layer.passes, max(0.0, mass_mg - layer.mass_mg)
         self._left_mm = self._level(min(layer.mass_mg, mass_mg))
-        self._thick_mm = self._left_mm + self._heap(np.hypot(self._x_mm, self._y_mm))
+        self._thick_mm = self._left_mm + self._heap(self._came_mg)
+        # Who has poured back what came unseen as well has made a larger heap.
+        more_mg = layer.more_mg if self._came_mg > THIN_MG else 0.0
+        self._heavy_mm = self._left_mm + self._heap(self._came_mg + more_mg)
 
     def expected_mg(self, stroke: Stroke) -> float:
         """What a stroke is expected to bring into the cone."""
@@ -98,10 +101,10 @@ class JarBed:
         """What a stroke brings that keeps all that it meets."""
         return self._above_mg(self._thick_mm, self._passed(stroke))
 
-    def _bent_mg(self, stroke: Stroke) -> float:
-        """What it brings besides if the sheet bends down to the floor."""
+    def _bent_mg(self, thick_mm: Floats, stroke: Stroke) -> float:
+        """What it brings if the sheet bends down to the floor."""
         left = self._passed(stroke)
-        return self._above_mg(self._thick_mm, replace(left, left_mm=max(0.0, left.left_mm - BENDS_MM)))
+        return self._above_mg(thick_mm, replace(left, left_mm=max(0.0, left.left_mm - BENDS_MM)))
 
     def left_by(self, stroke: Stroke) -> Layer:
         """What a stroke is expected to leave."""
@@ -109,7 +112,9 @@ class JarBed:
         others = [one for one in self._passes if one.heading_deg != stroke.heading_deg]
         raised = (replace(one, left_mm=one.left_mm + over_mm) for one in others)
         passes = (*raised, self._passed(stroke))
-        return Layer(stroke.gap_mm, self.mass_mg - self.expected_mg(stroke), passes=passes)
+        expected_mg = self.expected_mg(stroke)
+        more_mg = max(0.0, self._bent_mg(self._thick_mm, stroke) - expected_mg)
+        return Layer(stroke.gap_mm, self.mass_mg - expected_mg, more_mg=more_mg, passes=passes)
 
     def with_more(self, mass_mg: float) -> "JarBed":
         """The same, into the middle of which so much is poured."""
@@ -150,7 +155,7 @@ class JarBed:
         bent_limit_mg = BENT_LIMIT * max(wanted_mg, self.powder.load_limit_mg)
 
         def may_be(steps: int) -> bool:
-            return self.most_mg(at(steps)) <= wanted_mg and self._bent_mg(at(steps)) <= bent_limit_mg
+            return self.most_mg(at(steps)) <= wanted_mg and self._bent_mg(self._heavy_mm, at(steps)) <= bent_limit_mg
 
         clear, all_left = (
             math.ceil(mm / GAP_GRID_MM)
@@ -170,12 +175,12 @@ class JarBed:
     def _above_mg(self, thick_mm: Floats, passed: Pass) -> float:
         return self._mg_per_mm * float(np.maximum(thick_mm - self._most_mm(passed), 0.0).sum())
 
-    def _heap(self, out_mm: Floats) -> Floats:
+    def _heap(self, came_mg: float) -> Floats:
         """How thick lies what has come since, poured onto the middle, as steep as its repose."""
         steep = math.tan(math.radians(self.powder.repose_deg))
-        high_mm = math.cbrt(3 * steep**2 * self._came_mg / self.powder.bulk_density_mg_per_mm3 / math.pi)
-        thick_mm: Floats = np.maximum(high_mm - steep * out_mm, 0.0)
-        return thick_mm * (self._came_mg / max(self._mg_per_mm * float(thick_mm.sum()), THIN_MM))
+        high_mm = math.cbrt(3 * steep**2 * came_mg / self.powder.bulk_density_mg_per_mm3 / math.pi)
+        thick_mm: Floats = np.maximum(high_mm - steep * np.hypot(self._x_mm, self._y_mm), 0.0)
+        return thick_mm * (came_mg / max(self._mg_per_mm * float(thick_mm.sum()), THIN_MM))
 
     def _level(self, mass_mg: float) -> Floats:
         """How thick so much lies everywhere: up to one level, and no thicker than strokes have left it."""

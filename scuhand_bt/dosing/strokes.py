@@ -129,6 +129,7 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
     pushed_mg = _pushed_mg(stroke, bed, sheet_radius_mm)
     falls_back_mg = _falls_back(stroke, bed, sheet_radius_mm) * pushed_mg
     beside_mg = bed.beside_mg - _found_mg(stroke, bed, sheet_radius_mm) + falls_back_mg
+    bent_mg = _bent_mg(stroke, bed.if_heaped or bed, sheet_radius_mm)
     if stroke.gap_mm <= LIP_GAP_MM:
         left_mg = bed.mass_mg - expected_mg(stroke, bed, sheet_radius_mm)
         return Layer(LIP_GAP_MM, max(0.0, left_mg - beside_mg), min(beside_mg, left_mg))
@@ -136,6 +137,7 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
         _left_mm(stroke, bed.powder) + slip_mm(stroke, bed.mortar, sheet_radius_mm),
         bed.mass_mg - pushed_mg - (beside_mg - falls_back_mg),
         beside_mg,
+        more_mg=max(0.0, bent_mg - (pushed_mg - falls_back_mg)),
     )
 
 
@@ -240,7 +242,8 @@ def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: fl
         for steps in count(math.ceil(max(grains * bed.powder.grain_mm, from_mm) / grid_mm)):
             stroke = replace(deepest, gap_mm=steps * grid_mm)
             yield stroke
-            if all(one.above_mg(_left_mm(stroke, bed.powder)) <= 0.0 for one in (bed, bed.if_found or bed)):
+            all_beds = (bed, bed.if_found or bed, bed.if_heaped or bed)
+            if all(one.above_mg(_left_mm(stroke, bed.powder)) <= 0.0 for one in all_beds):
                 return
 
     stroke = first(chain([whole], layered(GRAINS_CLEAR)))
@@ -289,14 +292,27 @@ def across(mortar: Mortar, bed_radius_mm: float, open_mm: float) -> Stroke:
 
 def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What comes before the lip of a stroke, and into the mouth."""
+    above_mg = max(_on_strip_mg(stroke, one, sheet_radius_mm) for one in (bed, bed.if_heaped or bed))
+    return above_mg + _found_mg(stroke, bed, sheet_radius_mm)
+
+
+def _on_strip_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
     strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
-    above_mg = bed.above_mg(_left_mm(stroke, bed.powder), slip_mm(stroke, bed.mortar, sheet_radius_mm))
-    return strip * above_mg + _found_mg(stroke, bed, sheet_radius_mm)
+    slips_mm = slip_mm(stroke, bed.mortar, sheet_radius_mm)
+    return strip * bed.above_mg(_left_mm(stroke, bed.powder), slips_mm)
 
 
 def bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """What a stroke brings if the sheet bends and nothing slips past it: of a thin bed far more than is expected."""
+    """What a stroke brings if the sheet bends and nothing slips past it: of a thin bed far more than is expected.
+
+    If the last one has, too, and its load was poured back, that lies as a heap on its way.
+    """
+    beds = (bed, bed.if_heaped or bed, bed.if_more or bed)
+    return max(_bent_mg(stroke, one, sheet_radius_mm) for one in beds)
+
+
+def _bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     above_mg = bed.above_bent_mg(_left_mm(stroke, bed.powder), (stroke.open_mm + stroke.closed_mm) / 2)
     return (1.0 - _falls_back(stroke, bed, sheet_radius_mm)) * above_mg
 
