@@ -234,7 +234,16 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "pan_gross_mg": 20_031.0,
         "sources_mg": {"beads": 2000.0},
         "vessels": {},
-        "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0, "beside_mg": 0.0, "missed_mg": 0.0, "passes": []}},
+        "layers": {
+            "beads": {
+                "gap_mm": 2.5,
+                "mass_mg": 2000.0,
+                "beside_mg": 0.0,
+                "missed_mg": 0.0,
+                "more_mg": 0.0,
+                "passes": [],
+            }
+        },
         "has_closed": True,
         "dosing": {
             "began_s": 4.0,

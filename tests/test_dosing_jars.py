@@ -10,6 +10,7 @@ from dose_bench import shipped_powders
 
 from scuhand_bt.bench_spec import Station
 from scuhand_bt.device_specs.hand import HandSpec
+from scuhand_bt.dosing.bed import BENDS_MM
 from scuhand_bt.dosing.jars import LEAST_MG, JarBed, along_floor, has_way, sure_doses
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.swing import stroke_path
@@ -50,14 +51,16 @@ def brought_mg(vessel: Mortar, powder: Powder, fill_mg: float, strokes: Sequence
     return brought
 
 
-def swept_mg(field: HeightField, vessel: Mortar, stroke: Stroke, there_mg: float) -> float:
+def swept_mg(
+    field: HeightField, vessel: Mortar, stroke: Stroke, there_mg: float, most_lost_mg: float = 1e-6
+) -> float:
     """What a stroke collects of so much, by the height field."""
-    path, in_cone_mg = stroke_path(Vessel.of(vessel), stroke, Ladle()), 0.0
+    path, in_cone_mg, over_mg = stroke_path(Vessel.of(vessel), stroke, Ladle()), 0.0, 0.0
     for apex_mm, axis, rim_mm in zip(path.apex_mm, path.axis, path.rim_mm, strict=True):
         gained_mg, lost_mg = field.move(apex_mm, axis, float(rim_mm), there_mg - in_cone_mg, in_cone_mg)
-        in_cone_mg += gained_mg
-        assert lost_mg < 1e-6, "nothing goes over a jar's edge"
-    field.leave()
+        in_cone_mg, over_mg = in_cone_mg + gained_mg, over_mg + lost_mg
+    over_mg += field.leave()
+    assert over_mg <= most_lost_mg, "nothing goes over a jar's edge"
     return in_cone_mg
 
 
@@ -112,6 +115,34 @@ def test_what_no_stroke_reaches_is_known_to_be_left(powder: Powder) -> None:
     assert came_mg < 0.5 * fill_mg, "a rigid rim leaves most of a thin layer"
 
 
+def unseen_loads_mg(vessel: Mortar, powder: Powder, fill: float) -> list[float]:
+    """Loads that are poured back but for 50 mg, and never weighed, by the height field."""
+    there_mg = fill * vessel.capacity_mm3 * powder.bulk_density_mg_per_mm3
+    field, layer, loads_mg = HeightField(vessel, powder), None, list[float]()
+    for heading_deg in (0.0, 180.0, 35.0):
+        bed = JarBed(vessel, there_mg, powder, LADLE, layer)
+        stroke = bed.chosen(0.95 * powder.load_limit_mg, heading_deg)
+        loads_mg.append(swept_mg(field, vessel, stroke, there_mg, most_lost_mg=20.0))
+        layer = bed.left_by(stroke)
+        there_mg -= 50.0
+    return loads_mg
+
+
+@pytest.mark.parametrize("repose_deg", [30.0, 58.0])
+@pytest.mark.parametrize(
+    ("bore_mm", "depth_mm", "corner_mm", "fill"), [(110.0, 90.0, 10.0, 0.8), (85.0, 22.0, 6.0, 0.95)]
+)
+def test_of_a_deep_and_full_jar_loads_stay_within_what_may_be_carried_and_nothing_goes_over_its_edge(
+    bore_mm: float, depth_mm: float, corner_mm: float, fill: float, repose_deg: float
+) -> None:
+    """At a large gap a stroke begins farther behind, and brought twice what was expected; its end pushed out 0.4 g."""
+    vessel = jar(bore_mm, depth_mm).model_copy(update={"corner_mm": corner_mm})
+    like = {"repose_deg": repose_deg, "bulk_density_mg_per_mm3": 1.0, "load_limit_mg": 3900.0}
+    powder = POWDERS["lithium_carbonate"].model_copy(update=like)
+    loads_mg = unseen_loads_mg(vessel, powder, fill)
+    assert all(1500.0 < came_mg <= 1.15 * powder.load_limit_mg for came_mg in loads_mg)
+
+
 def test_a_stroke_where_one_was_made_brings_next_to_nothing_and_one_across_it_less() -> None:
     bed = bed_in(jar(), 12_000.0)
     first, across = (bed.chosen(LOAD_MG, heading_deg) for heading_deg in (90.0, 150.0))
@@ -155,7 +186,8 @@ def test_no_more_is_met_than_is_wanted_and_a_layer_is_several_grains(wanted_mg: 
     assert stroke.heading_deg == 30.0
     assert stroke.gap_mm == LIP_GAP_MM or stroke.gap_mm >= BEADS.grain_mm
     if stroke.gap_mm > 1.0:
-        assert bed.most_mg(replace(stroke, gap_mm=stroke.gap_mm - 0.5)) > wanted_mg, "a deeper one brings too much"
+        bends_mg = bed.most_mg(replace(stroke, gap_mm=stroke.gap_mm - 0.25 - BENDS_MM))
+        assert bends_mg > wanted_mg, "a deeper one brings too much, or would if the sheet bends"
 
 
 @pytest.mark.parametrize("is_discarded", [False, True])

@@ -97,11 +97,12 @@ class Bed:
         self._lies = self._thick_mm > (left_mm if is_heaped else 0.0) + THIN_MM
 
         self.if_heaped: Bed | None = None
-        """The same, if what has come since the last stroke was poured back as a heap: in a bowl filled above its half."""
+        """The same, if what has come since the last stroke was poured back as a heap: above half of the bowl's depth."""
         self.if_more: Bed | None = None
         """And if the last stroke has brought all that it may."""
-        self._is_high = is_heaped or self.surface_mm > mortar.depth_mm / 2
-        if layer is not None and self._is_high and not is_heaped and mass_mg > layer.mass_mg + THIN_MG:
+        self._is_full = is_heaped or self.mass_mg > powder.bulk_density_mg_per_mm3 * mortar.capacity_mm3 / 2
+        is_high = not is_heaped and self.surface_mm > mortar.depth_mm / 2
+        if layer is not None and is_high and mass_mg > layer.mass_mg + THIN_MG:
             more = replace(layer, mass_mg=max(0.0, layer.mass_mg - layer.more_mg))
             self.if_heaped, self.if_more = (
                 Bed(mortar, self.mass_mg, powder, one, is_heaped=True) for one in (layer, more)
@@ -140,10 +141,11 @@ class Bed:
     def above_bent_mg(self, gap_mm: float, rim_mm: float) -> float:
         """What is farther from the wall than a rim that has bent down to it.
 
-        It is narrower than the bowl; in one filled above its half it may be wider than what the lip follows.
+        It is narrower than the bowl; of one that is more than half full it may be wider than what the lip follows.
         """
         radius_mm = self.mortar.bowl_radius_mm
-        narrower = 2 / rim_mm - 1 / (radius_mm - gap_mm) if self._is_high else max(0.0, 2 / rim_mm - 1 / radius_mm)
+        followed_mm = max(radius_mm - gap_mm, rim_mm / 3)
+        narrower = 2 / rim_mm - 1 / followed_mm if self._is_full else max(0.0, 2 / rim_mm - 1 / radius_mm)
         left_mm = np.maximum(0.0, max(0.0, gap_mm - BENDS_MM) + narrower * self._out_mm**2 / 4)
         return self._mass_mg(np.maximum(self._thick_mm - left_mm, 0.0))
 

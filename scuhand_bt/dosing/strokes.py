@@ -14,7 +14,9 @@ above the gap comes
 
     x - s,    s = min(SLIPS (L - R), x / 3) where L > R and the lip is off the wall, else 0
 
-and the layer is thicker by SLIPS (L - R). The form is ours, and takes powder to stay as it was left; what a source
+and the layer is thicker by SLIPS (L - R). In a bowl filled above half its depth the swing cuts a shallow lens, and what
+has been poured back lies on its way whole: there t is that of a heap as steep as its repose, where that brings more.
+The form is ours, and takes powder to stay as it was left; what a source
 really yields of it is learnt from weighing (`cell/believed.py`).
 
 Of what is pushed, V in all, the sheet's slope lets a share slide in behind the lip: none where it is level, at the
