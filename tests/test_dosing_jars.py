@@ -51,9 +51,7 @@ def brought_mg(vessel: Mortar, powder: Powder, fill_mg: float, strokes: Sequence
     return brought
 
 
-def swept_mg(
-    field: HeightField, vessel: Mortar, stroke: Stroke, there_mg: float, most_lost_mg: float = 1e-6
-) -> float:
+def swept_mg(field: HeightField, vessel: Mortar, stroke: Stroke, there_mg: float, most_lost_mg: float = 1e-6) -> float:
     """What a stroke collects of so much, by the height field."""
     path, in_cone_mg, over_mg = stroke_path(Vessel.of(vessel), stroke, Ladle()), 0.0, 0.0
     for apex_mm, axis, rim_mm in zip(path.apex_mm, path.axis, path.rim_mm, strict=True):
