@@ -53,7 +53,7 @@ class Layer:
     missed_mg: float = 0.0
     """Of that, what is there only because the last stroke did not find it: the next one may find it all the same."""
     more_mg: float = 0.0
-    """What the last stroke may have brought besides, as the sheet bends: who pours its load back, pours that as well."""
+    """What the last stroke may have brought besides, as the sheet bends: who pours its load back pours that, too."""
     passes: tuple[Pass, ...] = ()
     """In a jar (`jars.py`), the last stroke along each heading."""
 
@@ -97,16 +97,15 @@ class Bed:
         self._lies = self._thick_mm > (left_mm if is_heaped else 0.0) + THIN_MM
 
         self.if_heaped: Bed | None = None
-        """The same, if what has come since the last stroke was poured back as a heap: above half of the bowl's depth."""
+        """The same, if what has come since the last stroke was poured back as a heap: above half of the depth."""
         self.if_more: Bed | None = None
         """And if the last stroke has brought all that it may."""
         self._is_full = is_heaped or self.mass_mg > powder.bulk_density_mg_per_mm3 * mortar.capacity_mm3 / 2
         is_high = not is_heaped and self.surface_mm > mortar.depth_mm / 2
         if layer is not None and is_high and mass_mg > layer.mass_mg + THIN_MG:
             more = replace(layer, mass_mg=max(0.0, layer.mass_mg - layer.more_mg))
-            self.if_heaped, self.if_more = (
-                Bed(mortar, self.mass_mg, powder, one, is_heaped=True) for one in (layer, more)
-            )
+            self.if_heaped = Bed(mortar, self.mass_mg, powder, layer, is_heaped=True)
+            self.if_more = Bed(mortar, self.mass_mg, powder, more, is_heaped=True)
 
     def _fill(self, up_to: Callable[[float], Floats], mass_mg: float) -> None:
         """As thick as it is up to the level that makes this mass."""

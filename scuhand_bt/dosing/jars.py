@@ -15,8 +15,8 @@ makes its mass; what has come since the last of them, as the rest of a load that
 in the middle, where all strokes go. x0 is farther behind, the larger the gap: the edge is less in the hand's way.
 
 A sheet that bends, by what is assumed, brings more, and who pours that back unseen makes a larger heap. Of a layer no
-stroke is made that would then bring more than the powder's load limit. The form is ours, and takes powder to stay as it was left; what a source really
-yields of it is learnt from weighing (`cell/believed.py`).
+stroke is made that would then bring more than the powder's load limit. The form is ours, and takes powder to stay as
+it was left; what a source really yields of it is learnt from weighing (`cell/believed.py`).
 
 Of a gap of less than a grain, grains jam under the lip, as in a bowl (`strokes.py`). Masses in mg, lengths in mm.
 """
