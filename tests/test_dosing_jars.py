@@ -138,7 +138,7 @@ def test_of_a_deep_and_full_jar_loads_stay_within_what_may_be_carried_and_nothin
     like = {"repose_deg": repose_deg, "bulk_density_mg_per_mm3": 1.0, "load_limit_mg": 3900.0}
     powder = POWDERS["lithium_carbonate"].model_copy(update=like)
     loads_mg = unseen_loads_mg(vessel, powder, fill)
-    assert all(1500.0 < came_mg <= 1.15 * powder.load_limit_mg for came_mg in loads_mg)
+    assert all(1500.0 < came_mg <= 1.2 * powder.load_limit_mg for came_mg in loads_mg)
 
 
 def test_a_stroke_where_one_was_made_brings_next_to_nothing_and_one_across_it_less() -> None:
