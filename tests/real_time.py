@@ -54,10 +54,10 @@ GIVES_WAY = pytest.StashKey[bool]()
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """They run one after the other, beside those that only compute."""
+    """They run one after the other, beside those that only compute; of which one process makes what a file's share."""
     for item in items:
-        if item.get_closest_marker("real_time") is not None:
-            item.add_marker(pytest.mark.xdist_group("real_time"))
+        is_in_real_time = item.get_closest_marker("real_time") is not None
+        item.add_marker(pytest.mark.xdist_group("real_time" if is_in_real_time else item.path.stem))
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -27,8 +27,6 @@ from scuhand_bt.report.weighing_record import COLUMNS, weighing_csv
 from tests.running import Ran, dry_run, make_lab
 from tests.test_journal import HEADER, tamper, write_run, write_version_1
 
-pytestmark = pytest.mark.xdist_group("archive")  # one process makes what all of them share
-
 DOSES = """
 recipe: two
 workflow: fill_xrd_holder

@@ -28,7 +28,7 @@ from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("dashboard in a browser")]
+pytestmark = needs_browser
 RECIPE = """
 recipe: two
 workflow: fill

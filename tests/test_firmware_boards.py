@@ -19,7 +19,6 @@ from scuhand_bt.devices.hand_protocol import Hello
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.servo import BOOT_S, OVERLOAD_BIT
 
-pytestmark = pytest.mark.xdist_group("avr")
 """One worker builds the boards' binaries."""
 
 SHUT_MM = 0.04

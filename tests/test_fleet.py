@@ -42,7 +42,6 @@ from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from tests.test_journal import HEADER, RESULT
 
-pytestmark = pytest.mark.xdist_group("postgres")
 RECIPE = """recipe: queued
 workflow: fill_xrd_holder
 sources:

@@ -26,8 +26,6 @@ from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.sim.outage import SAG_RAD
 
-pytestmark = pytest.mark.xdist_group("outage")  # one process makes what all of them share
-
 HEAD = """
 recipe: cut
 workflow: fill_xrd_holder

@@ -18,8 +18,6 @@ from scuhand_bt.report.preview import preview_page
 from scuhand_bt.study.odds import odds_of
 from scuhand_bt.study.trial import Setup, trial
 
-pytestmark = pytest.mark.xdist_group("preview")  # one process makes what all of them share
-
 RECIPE = """
 recipe: "two"
 workflow: fill_xrd_holder

@@ -28,8 +28,6 @@ from scuhand_bt.report.run_report import comparison, page_of_run
 from scuhand_bt.report.time_spent import TimeSpent, time_spent
 from tests.test_journal import HEADER, tamper, write_version_1
 
-pytestmark = pytest.mark.xdist_group("report")  # one process makes what all of them share
-
 EVIL = "<script>alert(1)</script>"
 BATCH = f"""
 recipe: four
