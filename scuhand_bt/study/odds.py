@@ -171,24 +171,26 @@ def _of_jobs(plan: Plan, times_s: Sequence[Mapping[str, float]]) -> dict[str, Ra
 
 def _of_times(times_s: Sequence[float]) -> Range:
     """Of one more run like these: times differ by factors, and few runs do not tell by how much."""
-    many = len(times_s)
-    if many < FEWEST or min(times_s) <= 0.0:
+    if len(times_s) < FEWEST or min(times_s) <= 0.0:
         return _seen(times_s)
     logs = np.log(times_s)
-    chance = float(np.std(logs, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
-    half = math.hypot(float(t.ppf(0.5 + COVERED / 2.0, many - 1)) * chance, WIDE * MODEL_SHARE)
+    half = math.hypot(_half_of_one_more(logs.tolist()), WIDE * MODEL_SHARE)
     middle = float(np.mean(logs))
     return Range(*(math.exp(at) for at in (middle - half, middle, middle + half)))
 
 
 def _of_masses(masses_mg: Sequence[float]) -> Range:
     """Of one more run like these, which lies beyond the least and the greatest of four two times in five."""
-    many = len(masses_mg)
-    if many < FEWEST:
+    if len(masses_mg) < FEWEST:
         return _seen(masses_mg)
-    mean = float(np.mean(masses_mg))
-    half = float(t.ppf(0.5 + COVERED / 2.0, many - 1) * np.std(masses_mg, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
+    mean, half = float(np.mean(masses_mg)), _half_of_one_more(masses_mg)
     return Range(max(0.0, mean - half), float(np.median(masses_mg)), mean + half)
+
+
+def _half_of_one_more(values: Sequence[float]) -> float:
+    """Of the interval about the mean in which one more value like these lies, by Student's t."""
+    many = len(values)
+    return float(t.ppf(0.5 + COVERED / 2.0, many - 1) * np.std(values, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
 
 
 def _seen(values: Sequence[float]) -> Range:
