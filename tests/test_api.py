@@ -89,6 +89,7 @@ def test_a_sample_that_failed_has_a_row_with_its_code(lab: api.OpenLab, tmp_path
     assert (row["sample"], row["code"], row["lot"]) == ("a", "container.wrong_mass", None)
 
 
+@pytest.mark.slow
 def test_two_threads_run_their_own_recipes_of_one_lab(lab: api.OpenLab) -> None:
     alone = lab.dry_run(RECIPE, seed=3).rows()
     found: list[Any] = [None, None]
@@ -138,6 +139,7 @@ def test_a_session_may_be_run_in_another_thread_than_it_was_made_in(lab: api.Ope
     assert read(session.journal.path, "event")[-1]["kind"] == "matter"
 
 
+@pytest.mark.slow
 def test_runs_of_one_process_leave_no_scenes_descriptors_nor_threads_behind(lab: api.OpenLab) -> None:
     """Not even until Python collects what refers to itself: a run's scenes take 70 MB, of few objects."""
 

@@ -94,6 +94,7 @@ class SlowerAsItBegins:
         return self.Response(spec)
 
 
+@pytest.mark.slow
 def test_a_filter_that_turns_four_times_slower_as_a_dose_begins_is_seen_before_it_is_too_late(tmp_path: Path) -> None:
     """A flow that is shown late looks like a weak one, which may go on: 1239 mg too much were let out of 3 g once."""
     samples = ", ".join(

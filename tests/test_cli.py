@@ -198,7 +198,7 @@ def test_init_makes_a_lab_that_checks_and_never_overwrites(command: Call, tmp_pa
     assert made.returncode == 0
     for path in (starter_lab() / "recipes").iterdir():
         assert (tmp_path / "my-lab" / "recipes" / path.name).read_bytes() == path.read_bytes()
-    assert command("check", tmp_path / "my-lab" / "recipes" / "synthesis_batch.yaml").returncode == 0
+    assert command("check", tmp_path / "my-lab" / "recipes" / "xrd_holders.yaml").returncode == 0
     again = command("init", tmp_path / "my-lab")
     assert again.returncode == 2
     assert "is not empty" in again.stderr.replace("\n", " ")
@@ -465,6 +465,7 @@ def test_the_doctor_is_content_with_the_twins_and_not_with_nothing(command: Call
     assert "/dev/ttyUSB0 is not there" in nothing.stdout
 
 
+@pytest.mark.slow
 def test_the_start_of_day_needs_no_powder_and_is_good_in_a_dry_run(command: Call) -> None:
     assert "put a check weight on the pan" in command("plan", "recipes/start_of_day.yaml", "--trials", 1).stdout
     ended = command("run", "recipes/start_of_day.yaml", "--dry-run")

@@ -454,6 +454,7 @@ def test_a_real_run_asks_for_the_rim_of_a_sheet_that_was_entered_once(
         assert len(operator.asked) == asked
 
 
+@pytest.mark.slow
 def test_a_real_run_asks_before_another_lot_comes_to_what_earlier_runs_have_put_into_a_vessel(
     real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path, starter: Lab
 ) -> None:

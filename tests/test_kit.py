@@ -170,6 +170,7 @@ def test_a_test_file_is_no_workflow_and_no_part_of_what_a_run_depends_on(lab_fol
 PYTHON = (REPOSITORY / "docs" / "lab-tests.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
 
 
+@pytest.mark.slow
 def test_the_fixtures_of_the_page_do_what_it_says(pytester: pytest.Pytester, lab_folder: LabFolder) -> None:
     unused = PYTHON.replace("test_an_empty", "test_unused_an_empty").replace('"**/scoop", ', '"**/scoop", "call": 2, ')
     pytester.makepyfile(PYTHON + "\n\n" + unused)

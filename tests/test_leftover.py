@@ -92,6 +92,7 @@ def lab_with_a_jar(tmp_path: Path) -> Path:
     return lab
 
 
+@pytest.mark.slow
 def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_is_believed_without_it(
     tmp_path: Path,
 ) -> None:

@@ -116,6 +116,7 @@ def test_once_written_ways_between_places_are_kept_and_those_from_elsewhere_are_
     assert searches
 
 
+@pytest.mark.slow
 def test_what_a_dry_run_has_planned_for_its_loads_the_next_one_finds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searches: list[Any]
 ) -> None:

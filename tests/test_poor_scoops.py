@@ -111,6 +111,7 @@ def test_poor_scoops_lose_no_sample_and_what_the_next_ones_will_bring_is_learnt(
         assert believed.sources_mg[source] == pytest.approx(world.masses_mg[f"source:{source}"], abs=400.0)
 
 
+@pytest.mark.slow
 def test_a_source_that_gives_nothing_costs_two_scoops_and_its_other_samples_are_not_begun(tmp_path: Path) -> None:
     recipe = RECIPE.replace("POLICY", "skip_sample")
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller="adaptive", seed=2)

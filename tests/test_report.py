@@ -224,6 +224,7 @@ def test_a_journal_that_was_altered_is_said_to_be_and_gives_no_data(ran: Ran, tm
     assert "Inside this file" not in page.text
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_and_resumed_is_told_as_one(tmp_path: Path) -> None:
     lab = make_lab(tmp_path / "lab")
     run = Run(tmp_path, lab, BATCH.partition("sources:")[0])

@@ -111,6 +111,7 @@ def _tip_m(scene: Any, q: Any) -> Any:
     return at.act(np.array(scene["apex"]))
 
 
+@pytest.mark.slow
 @needs_browser
 def test_in_a_browser_the_page_draws_the_arm_where_its_motion_has_it_and_needs_no_network(
     tmp_path: Path, browser: Any

@@ -59,15 +59,15 @@ def setup(lab_folder: LabFolder) -> Setup:
 
 
 class Inline(Executor):
-    """Runs what it is given at once, and counts it."""
+    """Runs what it is given at once, or this in its place, and counts it."""
 
-    def __init__(self) -> None:
-        self.ran = 0
+    def __init__(self, instead: Callable[[Setup, int], Trial] | None = None) -> None:
+        self.ran, self._instead = 0, instead
 
     def submit(self, fn, /, *arguments, **named):  # type: ignore[no-untyped-def]
         self.ran += 1
         future: Future[object] = Future()
-        future.set_result(fn(*arguments, **named))
+        future.set_result((self._instead or fn)(*arguments, **named))
         return future
 
 
@@ -99,7 +99,7 @@ def test_a_trial_says_what_came_of_the_run(setup: Setup) -> None:
 
 
 def test_a_study_that_broke_off_goes_on_and_one_of_other_files_begins_anew(setup: Setup, tmp_path: Path) -> None:
-    kept, inline = tmp_path / "s.sqlite", Inline()
+    kept, inline = tmp_path / "s.sqlite", Inline(lambda _, seed: fake(seed, 600.0 + seed, "ab"))
     tasks = [(setup, seed) for seed in range(3)]
     with open_store(kept, setup) as store:
         first = dict(all_trials(tasks[:2], inline, store))
@@ -384,6 +384,7 @@ def test_the_processes_of_a_study_that_is_killed_end_too(tmp_path: Path) -> None
     assert ended.returncode == -signal.SIGKILL
 
 
+@pytest.mark.slow
 def test_a_study_that_breaks_off_while_its_processes_end_says_nothing_else(tmp_path: Path) -> None:
     program = tmp_path / "study.py"
     program.write_text(

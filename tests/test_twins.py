@@ -173,6 +173,7 @@ def test_of_twins_that_are_killed_while_they_save_all_that_they_have_said_is_on_
 # --- what a person says to them
 
 
+@pytest.mark.slow
 def test_from_another_terminal_twins_do_what_a_person_would(tmp_path: Path, lab: Lab, command: Call) -> None:
     folder = tmp_path / "twins"
     with running(folder, lab) as process:
