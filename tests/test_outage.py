@@ -263,7 +263,7 @@ def test_a_limp_arm_and_a_changer_gone_home_are_no_harm(tmp_path: Path) -> None:
         assert good(run.sample())
 
 
-@pytest.mark.parametrize(("within", "at_tick", "overlap_mm"), first_daily(("open_cone", 10, 21), ("scoop", 42, 19)))
+@pytest.mark.parametrize(("within", "at_tick", "overlap_mm"), first_daily(("open_cone", 10, 21), ("scoop", 44, 23)))
 def test_an_arm_that_sank_with_its_cone_in_a_mortar_goes_out_of_what_it_touches_by_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, within: str, at_tick: int, overlap_mm: int
 ) -> None:
