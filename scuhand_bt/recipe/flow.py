@@ -212,6 +212,10 @@ class _Follower:
 
     def _known(self, arguments: Mapping[str, Argument], names: Names, call: Call | None = None) -> dict[str, Any]:
         """The arguments that are known before the run; notes those that come to nothing."""
+        try:
+            return known(arguments, names.scope, self._library, call)
+        except SkillFailed:
+            pass
         found: dict[str, Any] = {}
         for key, argument in arguments.items():
             try:
@@ -258,6 +262,8 @@ class _Follower:
             elif python is Powder and isinstance(value, Powder) and issubclass(self._skill(node.name), Condition):
                 of_powder = {name for name, source in self.sources.items() if source.powder.name == value.name}
                 sources |= of_powder & reached.sources or of_powder
+        if not containers and not sources:
+            return reached
         return replace(
             reached,
             containers=frozenset(containers) or reached.containers,

@@ -123,8 +123,9 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     jobs = tuple(_jobs(lab, in_order(recipe.order, recipe.samples, forecaster.duration_s)))
     forecasts = [forecaster.of_job(job) for job in jobs]
     if refills := _refills(recipe.sources.values(), jobs, _persons(jobs, forecasts, lab), lab):
+        forecast = {job.name: found for job, found in zip(jobs, forecasts, strict=True)}
         jobs = tuple(one for job in jobs for one in (*refills.get(job.name, ()), job))
-        forecasts = [forecaster.of_job(job) for job in jobs]
+        forecasts = [forecast[job.name] if job.name in forecast else forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
     demands = tuple(demand_of(recipe.samples, source) for source in recipe.sources.values())
     done_s = accumulate(sum(one.duration_s for one in found) for found in forecasts)
@@ -296,10 +297,19 @@ class _Forecaster:
     def __init__(self, lab: Lab) -> None:
         self._lab = lab
         self._library: Library = lab.library
+        self._services: dict[tuple[str, str], list[_Expected]] = {}
+        """Of what is done between samples, by its workflow and source."""
 
     def of_job(self, job: Job) -> list[_Expected]:
-        workflow = self._library.workflows[job.workflow]
-        return self._of_workflow(workflow, dict(job.inputs))
+        if job.sample is not None:
+            return self._of_job(job)
+        key = job.workflow, job.inputs["source"].name
+        if key not in self._services:
+            self._services[key] = self._of_job(job)
+        return self._services[key]
+
+    def _of_job(self, job: Job) -> list[_Expected]:
+        return self._of_workflow(self._library.workflows[job.workflow], dict(job.inputs))
 
     def duration_s(self, sample: Sample) -> float:
         return sum(expected.duration_s for expected in self.of_job(_job(sample)))

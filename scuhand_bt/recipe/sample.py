@@ -103,7 +103,7 @@ class Sample:
                     of_container[pour.lot] = pour
         return {container: tuple(pours.values()) for container, pours in largest.items()}
 
-    @property
+    @cached_property
     def sources(self) -> tuple[Source, ...]:
         """All of its sources, in the order in which its workflow takes from them; then those it takes nothing from."""
         in_order = [take.source for take in self.takes] + sources_of(self.inputs)
@@ -118,12 +118,12 @@ class Sample:
         """Whose powder the sheet has touched when its workflow has ended."""
         return self.takes[-1].source if self.takes else next(iter(self.sources), None)
 
-    @property
-    def all_containers(self) -> list[Container]:
+    @cached_property
+    def all_containers(self) -> Sequence[Container]:
         return [value for _, value in each_of(self.inputs) if isinstance(value, Container)]
 
-    @property
-    def containers(self) -> list[Container]:
+    @cached_property
+    def containers(self) -> Sequence[Container]:
         """Those that its mass may be for: its own called `container`, else all of its own."""
         own = self.all_containers
         return [value for value in own if value is self.inputs.get("container")] or own

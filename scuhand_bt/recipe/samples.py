@@ -11,7 +11,8 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.recipe.compose import COMPOSE, Composer, takes_composed
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
-from scuhand_bt.recipe.flow import Flow, flow_of
+from scuhand_bt.recipe.flow import Flow
+from scuhand_bt.recipe.flows import Flows
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
 from scuhand_bt.recipe.sample import Sample, check_sample
@@ -48,6 +49,9 @@ class SamplesReader:
     """Those that samples name, or are composed of."""
     sound: dict[str, bool] = field(default_factory=dict)
     """By workflow, whether it is."""
+
+    def __post_init__(self) -> None:
+        self._flows = Flows(self.lab.library)
 
     def read(self, root: Entries, sources: Mapping[str, Source]) -> list[Sample]:
         """The recipe's samples, with all of their values that could be read; all that is wrong is noted."""
@@ -175,7 +179,7 @@ class SamplesReader:
         if not self.is_sound(workflow.name):
             return Flow()
         is_complete = all(key in inputs for key in workflow.inputs)  # else what lacks is reported where it stands
-        return flow_of(workflow.name, inputs, self.lab.library, self.problems if is_complete else Problems())
+        return self._flows.of(workflow.name, inputs, self.problems if is_complete else Problems())
 
     def is_sound(self, name: str) -> bool:
         """Whether a workflow can be followed."""

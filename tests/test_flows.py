@@ -1,0 +1,75 @@
+"""What samples dose is told alike of each, though those that are alike are followed once."""
+
+import pytest
+from conftest import LabFolder
+
+from scuhand_bt.problems import Problems
+from scuhand_bt.recipe import flows
+from scuhand_bt.recipe.flow import flow_of
+from scuhand_bt.recipe.recipe import load_recipe
+
+RECIPE = """recipe: mixtures
+workflow: {workflow}
+order: as_written
+sources:
+  beads: {{station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 30 g}}
+  msg:   {{station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: 30 g}}
+defaults: {{first: beads, second: msg, container: alumina_crucible, tolerance: 5 mg}}
+samples:
+{samples}
+"""
+SAMPLES = (
+    *("mass: 400 mg, ratio: 50 %", "mass: 400 mg, ratio: 50 %", "mass: 300 mg, ratio: 50 %"),
+    *("mass: 400 mg, ratio: 25 %", "mass: 400 mg, ratio: 50 %, tolerance: 1 %"),
+    *("mass: 400 mg, ratio: 50 %, first: msg, second: beads", "mass: 400 mg, ratio: 50 %, container: vial_11mm"),
+    *("mass: 50 mg, workflow: aliquots, source: beads, containers: [xrd_holder, xrd_holder]",) * 2,
+)
+BY_ID = """workflow: by_id
+inputs: {first: Source, second: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 5 mg}}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - pick: {first: $first, second: $second, container: $container, mass: $mass}
+    - park:
+"""
+PICK = """workflow: pick
+inputs: {first: Source, second: Source, container: Container, mass: Mass}
+tree:
+  switch:
+    value: $container.id
+    cases:
+      s1: {fill: {source: $first, container: $container, mass: $mass}}
+      s2: {fill: {source: $second, container: $container, mass: $mass}}
+"""
+
+
+def written(*samples: str, workflow: str = "mix_at_ratio") -> str:
+    lines = "\n".join(f"  - {{id: s{number}, {sample}}}" for number, sample in enumerate(samples, 1))
+    return RECIPE.format(workflow=workflow, samples=lines)
+
+
+def test_each_sample_doses_what_its_workflow_would_alone(lab_folder: LabFolder) -> None:
+    lab = lab_folder.load()
+    samples = load_recipe(lab_folder.write("r.yaml", written(*SAMPLES)), lab).samples
+    assert [{pour.container for pour in sample.flow.pours} for sample in samples[-2:]] == [
+        {f"{sample.id}/{number}" for number in (1, 2)} for sample in samples[-2:]
+    ]
+    for sample in samples:
+        assert sample.flow == flow_of(sample.workflow, sample.inputs, lab.library, Problems()), sample.id
+
+
+def test_samples_that_are_alike_are_followed_once(lab_folder: LabFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    followed = []
+    monkeypatch.setattr(flows, "flow_of", lambda *given: (followed.append(given), flow_of(*given))[1])
+    text = written(*("mass: 400 mg, ratio: 50 %", "mass: 300 mg, ratio: 50 %") * 20)
+    assert len(load_recipe(lab_folder.write("r.yaml", text), lab_folder.load()).samples) == 40
+    assert len(followed) == 2
+
+
+def test_where_a_workflow_goes_by_the_containers_id_samples_are_not_alike(lab_folder: LabFolder) -> None:
+    lab_folder.write("trees/by_id.yaml", BY_ID)
+    lab_folder.write("trees/pick.yaml", PICK)
+    text = written("mass: 100 mg", "mass: 100 mg", workflow="by_id")
+    samples = load_recipe(lab_folder.write("r.yaml", text), lab_folder.load()).samples
+    assert [[pour.source for pour in sample.flow.pours] for sample in samples] == [["beads"], ["msg"]]
