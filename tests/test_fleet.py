@@ -101,6 +101,16 @@ def test_a_station_with_all_that_a_recipe_names_lacks_nothing(plan: Plan, offer:
         ({"mortar": ()}, "it has no mortar 'agate_mortar'"),
         ({"workflow": ("finish_batch",)}, "it has no workflow 'fill_xrd_holder'"),
         ({"mortar station": ("mortar_bay_2",)}, "it has no mortar station 'mortar_bay'"),
+        ({"slots": {"alumina_crucible": 9}}, "its changer has no slot for 'xrd_holder'"),
+        ({"unattended": True, "slots": {}}, "it is unattended, and a person changes its containers"),
+        (
+            {"unattended": True, "slots": {"": 1}},
+            "it is unattended, and its changer has slots for 1 of the 2 containers",
+        ),
+        (
+            {"unattended": True, "slots": {"xrd_holder": 1}},
+            "it is unattended, and its changer has slots for 'xrd_holder' for 1 of the 2 containers",
+        ),
     ],
 )
 def test_what_a_station_lacks_is_said(plan: Plan, offer: Offer, changes: dict[str, Any], words: str) -> None:
@@ -118,6 +128,26 @@ def test_a_station_lacks_the_vessel_for_leftovers_or_it_holds_another_lot(plan: 
     assert missing(needs, has_jar) == []
     others = has_jar.model_copy(update={"lots": {"jar": "glass_beads/GB-0"}})
     assert missing(needs, others) == ["its jar holds glass_beads/GB-0, not glass_beads/GB-1"]
+
+
+@pytest.mark.parametrize("changes", [{"slots": {}}, {"slots": {"": 1}}, {"unattended": True, "slots": {"": 2}}])
+def test_a_changer_that_a_person_sees_to_or_that_holds_all_lacks_nothing(
+    plan: Plan, offer: Offer, changes: dict[str, Any]
+) -> None:
+    assert missing(needs_of(plan, simulated=True), offer.model_copy(update=changes)) == []
+
+
+@pytest.mark.parametrize(
+    ("changer", "slots"),
+    [
+        ("driver: carousel, slots: 24", {"": 24}),
+        ("driver: carousel, slots: {xrd_holder: 3, alumina_crucible: 2}", {"xrd_holder": 3, "alumina_crucible": 2}),
+        ("driver: operator", {}),
+    ],
+)
+def test_a_station_offers_the_slots_of_its_changer(lab_folder: LabFolder, changer: str, slots: dict[str, int]) -> None:
+    lab_folder.replace("robot/cell.yaml", "driver: carousel, slots: 24", changer)
+    assert offer_of(lab_folder.load(), simulated=True, unattended=True).slots == slots
 
 
 def test_an_unattended_station_lacks_the_person_that_a_plan_needs(tmp_path: Path, offer: Offer) -> None:
@@ -922,7 +952,7 @@ def test_the_queue_is_set_up_and_used_as_the_page_says(tmp_path: Path) -> None:
             assert words[:3] == ["sudo", "-u", "postgres"]
             made.run(*words[3:], answers=f"{PASSWORD}\n{PASSWORD}\n")
         with (data / "postgresql.conf").open("a") as file:
-            file.write(settings.replace(ETC, str(data)).replace("queue.lab.example", "127.0.0.1"))
+            file.write(settings.replace(ETC, str(data)).replace("'*'", "'127.0.0.1'"))
         (data / "pg_hba.conf").write_text(access)
         made.restart()
         home = tmp_path / "home"

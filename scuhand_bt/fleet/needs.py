@@ -4,6 +4,7 @@ Both are names and a few figures, and no rule of a recipe is written anew here: 
 the station's own lab, before anything moves.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
@@ -27,6 +28,8 @@ class Needs(BaseModel):
     names: Mapping[Kind, tuple[str, ...]]
     lots: Mapping[str, str]
     """The powder lot (`Source.sheet_key`) at each station of a mortar, and that comes into a vessel for leftovers."""
+    containers: Mapping[str, int]
+    """How many it fills, by kind."""
     heaviest_mg: float
     """What stands on the balance at the most."""
     tolerance_mg: float | None
@@ -46,6 +49,8 @@ class Offer(BaseModel):
     names: Mapping[Kind, tuple[str, ...]]
     lots: Mapping[str, str]
     """What stands at its stations by the inventory; empty where nothing is known."""
+    slots: Mapping[str, int]
+    """Those of its changer, by kind of container, or "" for whichever; none where a person changes containers."""
     maximum_mg: float
     least_tolerance_mg: float
 
@@ -71,6 +76,7 @@ def needs_of(plan: Plan, *, simulated: bool) -> Needs:
             "vessel": _sorted(into),
         },
         lots={source.station: source.sheet_key for source in sources} | into,
+        containers=Counter(one.name for one in containers),
         heaviest_mg=max(filled.values(), default=0.0),
         tolerance_mg=min((one for sample in samples if (one := sample.least_tolerance_mg)), default=None),
         person=next((str(person) for person in plan.persons), ""),
@@ -81,7 +87,8 @@ def offer_of(lab: Lab, *, simulated: bool, unattended: bool) -> Offer:
     """What this lab's cell has now. SourceError where its database cannot be read."""
     stock = {} if simulated else Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
     holds = {name: one.lot_key for (kind, name), one in stock.items() if kind == "station" and _is_there(one.mass_mg)}
-    library = lab.library
+    library, changer = lab.library, lab.cell.changer
+    by_kind = {kind: changer.slots_for(kind) for kind in changer.kinds or ("",)}
     return Offer(
         cell=lab.cell.cell,
         simulated=simulated,
@@ -95,6 +102,7 @@ def offer_of(lab: Lab, *, simulated: bool, unattended: bool) -> Offer:
             "vessel": _sorted(one.name for one in lab.cell.stations.values() if one.kind == "waste"),
         },
         lots=holds,
+        slots={} if changer.driver == "operator" else by_kind,
         maximum_mg=lab.cell.balance.maximum_mg,
         least_tolerance_mg=lab.cell.balance.least_tolerance_mg,
     )
@@ -123,6 +131,21 @@ def _missing(needs: Needs, offer: Offer) -> Iterator[str]:
         yield f"the narrowest tolerance that its balance can tell is {told}"
     if needs.person and offer.unattended:
         yield f"it is unattended, and a person is {needs.person}"
+    yield from _changer_lacks(needs, offer)
+
+
+def _changer_lacks(needs: Needs, offer: Offer) -> Iterator[str]:
+    """Whoever submits may have another changer, by which the plan needs nobody."""
+    if not offer.slots:
+        if needs.containers and offer.unattended:
+            yield "it is unattended, and a person changes its containers"
+        return
+    for kind, count in ({"": sum(needs.containers.values())} if "" in offer.slots else needs.containers).items():
+        slots, of_kind = offer.slots.get(kind, 0), f" for '{kind}'" if kind else ""
+        if not slots:
+            yield f"its changer has no slot{of_kind}"
+        elif offer.unattended and count > slots:
+            yield f"it is unattended, and its changer has slots{of_kind} for {slots} of the {count} containers"
 
 
 def _sorted(names: "Iterator[str] | Mapping[str, object]") -> tuple[str, ...]:
