@@ -173,7 +173,7 @@ def test_the_trail_of_a_run_says_who_did_what_and_what_is_not_known(tmp_path: Pa
     journal.event(Answered(question="Is it?", answer="stop"))
     journal.event(Paused())
     journal.event(Continued(by="Bob"))
-    journal.event(Ended(exit_code=130, reason="stopped", complete=False, by="Eve", signed=True))
+    journal.event(Ended(exit_code=130, reason="as was asked for", complete=False, by="Eve", signed=True))
     journal.event(Resumed(last_at="", changes=["the recipe has changed"], version="9", operator="Bob"))
     journal.close()
     trail = json.loads(command("audit", journal.path, "--json")[1])
@@ -190,4 +190,4 @@ def test_the_trail_of_a_run_says_who_did_what_and_what_is_not_known(tmp_path: Pa
     shown = command("show", journal.path)[1]
     assert "answered: done, by Eve, with PIN" in shown
     assert "continued, by Bob" in shown
-    assert "ended with exit code 130: stopped by Eve, with PIN" in shown
+    assert "ended with exit code 130: as was asked for by Eve, with PIN" in shown

@@ -60,7 +60,7 @@ def test_what_has_not_changed_is_not_read_again_and_is_listed_the_same(
 def test_a_run_that_goes_on_is_read_again(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     journal = Journal(runs / "b.sqlite", durable=False)  # its last entries are in its log beside it
     journal.event(Resumed(last_at="", changes=[], version=""))
-    journal.event(Ended(exit_code=130, reason="stopped", complete=False))
+    journal.event(Ended(exit_code=130, reason="as was asked for", complete=False))
     assert states(runs) == {"a": "complete", "b": "stopped", "c": "complete"}
     journal.event(Resumed(last_at="", changes=[], version=""))
     assert states(runs)["b"] == "interrupted"

@@ -358,7 +358,7 @@ def test_watching_a_run_to_its_end_says_what_to_do_next(tmp_path: Path, command:
     run.go(Watch("stop", 1))
     code, out, _ = command("watch", "last", "--lab", lab)
     assert code == 0
-    assert f"{run.journal.stem} (SIMULATED): stopped: stopped; 0 of 3 samples good." in out
+    assert f"{run.journal.stem} (SIMULATED): stopped: as was asked for; 0 of 3 samples good." in out
     for what in ("resume", "report", "show"):
         assert f"`scuhand-bt {what} {run.journal.stem}`" in out
 

@@ -246,14 +246,17 @@ def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
     columns = ("first", "total") if design == "sobol" else ("rank",)
     heads = {"first": "Sobol, first order", "total": "Sobol, total", "rank": "rank correlation"}
     for name, places in dominant.items():
-        table = Table(f"what {name} depends on", *(heads[column] for column in columns), show_edge=False)
+        told = format_duration if name == "duration_s" else "{:.0%}".format
         by_name = {place: values["means"] for place, values in places.items() if "means" in values}
         ranked = [item for item in places.items() if item[0] not in by_name]
+        table = Table(f"what {name} depends on", *(heads[column] for column in columns), show_edge=False)
         for place, values in sorted(ranked, key=lambda item: -abs(item[1][columns[-1]])):
             table.add_row(place, *(f"{values[column]:.2f}" for column in columns))
+        means = Table(f"{name} with", "mean", show_edge=False)
         for place, named in by_name.items():
             for value, mean in named.items():
-                came = format_duration(mean) if name == "duration_s" else f"{mean:.0%}"
-                table.add_row(f"{place}: {value}", f"{came} on average")
-        out.print()
-        out.print(table)
+                means.add_row(f"{place}: {value}", told(mean))
+        for one in (table, means):
+            if one.rows:
+                out.print()
+                out.print(one)

@@ -126,7 +126,7 @@ class Batch:
             self._runner.ask(self._first)
         for number, job in enumerate(self._plan.jobs):
             if self._control.is_stopping:
-                return _ended(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "stopped")
+                return _ended(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "as was asked for")
             if job.sample is not None or not self._was_over(job.name, 1):
                 self._observer.job_started(job, number)
             if job.sample is None:
