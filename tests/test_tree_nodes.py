@@ -1,5 +1,6 @@
 """What every node of a workflow does when it runs: on the run's clock, with devices that only report."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -7,7 +8,9 @@ from conftest import Bench, wait_until
 
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.journal.follow import Follower
 from scuhand_bt.problems import SourceError
+from scuhand_bt.report.watching import tree_of
 from scuhand_bt.run.runner import SkillBug
 from scuhand_bt.skill import Condition, Seconds, Skill, Steps
 
@@ -163,6 +166,29 @@ def test_retry_sees_the_code_through_workflows_and_decorators(bench: Bench) -> N
 def test_a_second_round_of_a_retry_has_all_its_attempts_again(bench: Bench) -> None:
     bench.run("repeat: {times: 2, child: {optional: {retry: {attempts: 3, child: {fail: }}}}}", SKILLS)
     assert len(names(bench)) == 6
+
+
+@pytest.mark.parametrize(
+    ("tree", "states"),
+    [
+        ("retry: {attempts: 2, child: {fail: {after: 3 s}}}", {4.0: "running", 7.0: "failed", 29.0: "failed"}),
+        ("retry: {attempts: 9, on: [hand.no_flow], child: {fail: {after: 3 s}}}", {2.0: "running", 4.0: "failed"}),
+        (
+            "repeat: {times: 2, child: {optional: {retry: {attempts: 2, child: {fail: {after: 3 s}}}}}}",
+            {5.0: "running", 7.0: "running", 11.0: "running", 13.0: "failed"},
+        ),
+    ],
+)
+def test_who_watches_sees_when_a_retry_begins_its_child_no_more(
+    bench: Bench, tmp_path: Path, tree: str, states: dict[float, str]
+) -> None:
+    """What goes on beside it does not tell."""
+    bench.run(f"parallel: [{{arm: {{duration: 30 s}}}}, {{optional: {{{tree}}}}}]", SKILLS)
+    for until_s, state in states.items():
+        now = Follower(tmp_path / "journal.sqlite", until_s=until_s)
+        now.look()
+        assert [node.state for node in tree_of(now) if node.name == "retry"] == [state], until_s
+        assert bool(now.given_up) == (state == "failed"), "of a round before is nothing known any more"
 
 
 def test_repeat_runs_its_child_so_many_times(bench: Bench) -> None:

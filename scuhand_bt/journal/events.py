@@ -70,7 +70,7 @@ class TreeNode(Values):
     """How far below the root it stands."""
     name: Text
     path: str = ""
-    """Its place in the tree, as `action_started` and `decided` have it; empty for what writes neither."""
+    """Its place in the tree, as `action_started`, `decided` and `gave_up` have it; empty for what writes none."""
 
 
 class WorkflowTree(Event):
@@ -151,6 +151,14 @@ class Frames(Event):
 
     readings: int
     """How many lines."""
+
+
+class GaveUp(Event):
+    """A `retry` has failed with what is below it, and does not begin that again: for whoever shows the tree."""
+
+    KIND: ClassVar = "gave_up"
+
+    path: str
 
 
 class Decided(Event):
@@ -269,6 +277,7 @@ ENGINE_EVENTS: tuple[type[Event], ...] = (
     ActionEnded,
     Frames,
     Decided,
+    GaveUp,
     ArmMoved,
     PanCompared,
     ContainerReweighed,

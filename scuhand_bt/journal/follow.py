@@ -25,6 +25,7 @@ from scuhand_bt.journal.events import (
     Asked,
     Decided,
     Frames,
+    GaveUp,
     JobEnded,
     JobResumed,
     JobStarted,
@@ -51,6 +52,7 @@ _OF_JOB: tuple[type[Event], ...] = (
     ActionStarted,
     ActionEnded,
     Decided,
+    GaveUp,
     ArmMoves,
     DoseCurve,
     Frames,
@@ -111,6 +113,8 @@ class Follower:
     """Of that job, by the entries that they began with."""
     decided: dict[str, SkillFailed] = field(default_factory=dict)
     """Why nodes of its tree that are no skill have failed, by their places."""
+    given_up: set[str] = field(default_factory=set)
+    """Places of the `retry` nodes that have failed and have not been come to again."""
     course: list[Sequence[float]] = field(default_factory=list)
     """Of its doses until now: the points of `dose_curve`."""
     reading: tuple[float, float, bool] | None = None
@@ -194,7 +198,7 @@ class Follower:
                 self.trees[event.workflow] = event.nodes
             case JobStarted():
                 self.job, self.job_ended, self.reading = event, None, None
-                self.actions, self.decided, self.course = {}, {}, []
+                self.actions, self.decided, self.given_up, self.course = {}, {}, set(), []
             case JobResumed():
                 self.job_ended = None
                 self.samples.pop((self.job and self.job.sample) or "", None)  # one that had stopped the run
@@ -202,11 +206,14 @@ class Follower:
                 self.job_ended = event
             case ActionStarted():
                 self.actions[seq] = ActionNow(event.skill, event.path)
+                self.given_up -= {place for place in self.given_up if event.path.startswith(f"{place}/")}
             case ActionEnded() if action in self.actions:
                 begun = self.actions[action]
                 self.actions[action] = ActionNow(begun.skill, begun.path, event.outcome, event.failure)
             case Decided():
                 self.decided[event.path] = event.failure
+            case GaveUp():
+                self.given_up.add(event.path)
             case DoseCurve():
                 self.course += event.points
             case SampleResult():

@@ -137,7 +137,7 @@ class _Builder:
         child = self.build(node.child, scope, path)
         arguments = self._arguments(node.arguments, PARAMETERS, scope)
         if node.kind == "retry":
-            return Retry(child, arguments, frozenset(node.codes), self._shared)
+            return Retry(path, child, arguments, frozenset(node.codes), self._shared)
         if node.kind == "timeout":
             return Timeout(path, child, arguments, self._shared)
         if node.kind == "while":

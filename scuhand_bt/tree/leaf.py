@@ -58,6 +58,10 @@ class Listener(Protocol):
         """A node that is no action has failed on its own account."""
         ...
 
+    def gave_up(self, path: str) -> None:
+        """A `retry` has failed with its child, and does not begin that again."""
+        ...
+
 
 class Rejoin(Protocol):
     """What the run does before the first action that goes live, and before one that had begun, after an interruption.

@@ -158,12 +158,18 @@ class _Counted(_OnClock):
 
 
 class Retry(_Counted):
-    """Begin the child again when it fails with one of `codes` (none given: any), up to `attempts` times in all."""
+    """Begin the child again when it fails with one of `codes` (none given: any), up to `attempts` times in all.
+
+    That it does so no more is told: to whoever follows the journal it would be as before another attempt.
+    """
 
     count = "attempts"
 
-    def __init__(self, child: Behaviour, arguments: Arguments, codes: frozenset[str], shared: Ticking) -> None:
+    def __init__(
+        self, path: str, child: Behaviour, arguments: Arguments, codes: frozenset[str], shared: Ticking
+    ) -> None:
         super().__init__(child, arguments, shared)
+        self.path = path
         self._codes = codes
 
     def update(self) -> Status:
@@ -173,6 +179,8 @@ class Retry(_Counted):
         failure = failure_of(self.decorated)
         self._left -= 1
         if self._left <= 0 or (self._codes and failure.code not in self._codes):
+            if not self._shared.replay.is_replaying:
+                self._shared.listener.gave_up(self.path)
             return Status.FAILURE
         return self._again()
 
