@@ -372,7 +372,9 @@ def test_where_the_arm_can_make_strokes_in_few_directions_they_take_turns(
     starter: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Most went the same way, along which the others had left nothing: a dose took ten scoops, now four."""
-    bench, source = scooping_bench(starter, starter.motion_planner({"mortar_bay": starter.library.mortars["agate_mortar"]}))
+    bench, source = scooping_bench(
+        starter, starter.motion_planner({"mortar_bay": starter.library.mortars["agate_mortar"]})
+    )
     cell, made, can_deg = bench.cell, list[float](), first_headings_deg(starter, "mortar_bay", 2)
 
     def planned(self: Any, cell: Any, wished: Iterator[Stroke]) -> tuple[Stroke, Any]:

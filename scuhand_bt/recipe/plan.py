@@ -160,7 +160,7 @@ def check_unattended(plan: Plan) -> None:
 def _refills(
     sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[PersonNeeded], lab: Lab
 ) -> tuple[dict[str, list[Job]], dict[str, float]]:
-    """The refills before each job, by its name, of sources that are refilled; and what these hold at the most after one.
+    """The refills before each job, by its name, of sources that are refilled; and what these hold at most after one.
 
     A mortar that does not hold what is still to come is refilled before the first sample after which it would hold less
     than `RESERVE`, and a jar before the first one that is not sure to come of it; rather when a person comes anyway, be

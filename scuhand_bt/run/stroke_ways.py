@@ -35,9 +35,6 @@ WORTH_SHARE = 0.01
 FIRST_SHARE = 0.08
 """Of bed and load a first stroke brings so much at least, or all that is needed. In dry runs of 8 doses of 500 mg of
 MSG, from bowls of 55 to 58 mm, where it is 0.01 to 0.07, one at most came; from one of 60 mm (0.12) five."""
-BEDS_BETWEEN, LEAST_LEFT = 6, 0.1
-"""So many beds of a bowl are looked at between what a plan begins with and what it leaves, down to such a share: where
-the sheet is too large for the bowl, there is no stroke in some of them."""
 POOR_SHARE, POOR_DOSES = 0.15, 2.0
 """And so little that doses take several scoops each: less than this share, and so many of the largest dose. By the
 height field, of 8 doses of 500 mg of 6 g in a bowl of 60 and 20 mm, where it is 0.12 of MSG and 0.10 of titanium
@@ -55,7 +52,7 @@ class MortarCannotBeScooped(SkillFailed):
 def require_first(cell: CellSpec, demand: Demand) -> None:
     """MortarCannotBeScooped where the first stroke in what a plan begins with brings too little for it.
 
-    And where none could be made after a refill, or in one of the beds on the way to what the plan leaves.
+    And where none could be made after a refill.
     """
     source = demand.source
     worth_mg = FIRST_SHARE * _at_once_mg(source)
@@ -65,15 +62,6 @@ def require_first(cell: CellSpec, demand: Demand) -> None:
             stroke_in(cell, source, demand.refilled_mg)
         except MortarCannotBeScooped as failure:
             raise MortarCannotBeScooped(source.name, f"once it is refilled, {failure.why}") from None
-    if source.mortar.corner_mm is None:
-        left_mg = max(source.amount_mg - demand.needed_mg - demand.discarded_mg, LEAST_LEFT * source.amount_mg)
-        beds_mg = np.linspace(source.amount_mg, left_mg, BEDS_BETWEEN + 2)[1:].tolist()
-        try:
-            for bed_mg in beds_mg:
-                _first(cell, source, bed_mg)
-        except NoStrokeError as error:
-            why = f"when {format_mass(bed_mg)} is left, {error}{_would_do(cell, source, beds_mg, 0.0)}"
-            raise MortarCannotBeScooped(source.name, why) from None
 
 
 def poor_first_mg(cell: CellSpec, source: Source, largest_mg: float) -> float | None:
@@ -108,22 +96,20 @@ def stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float)
         if not is_jar:
             why = f"{what} bowl {brings} without a heap over its edge"
     if not is_jar:  # of a jar it is told with why
-        why += _would_do(cell, source, [bed_mg], worth_mg)
+        why += _would_do(cell, source, bed_mg, worth_mg)
     raise MortarCannotBeScooped(source.name, why)
 
 
-def _would_do(cell: CellSpec, source: Source, beds_mg: Sequence[float], worth_mg: float) -> str:
-    """The nearest bore, and depth, with which a stroke would be worth it in each of these beds, and of a single one how
-    much less in it; "" for none.
-    """
+def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> str:
+    """The nearest bore, and depth, with which a stroke would be worth it, and how much less in it; "" for none."""
     bowl = source.mortar
     wall_mm = bowl.outer_diameter_mm - bowl.bore_mm
 
-    def is_worth(bore_mm: float, depth_mm: float, beds_mg: Sequence[float] = beds_mg) -> bool:
+    def is_worth(bore_mm: float, depth_mm: float, bed_mg: float = bed_mg) -> bool:
         sizes = {"bore_mm": bore_mm, "depth_mm": depth_mm, "outer_diameter_mm": bore_mm + wall_mm}
         other = source.model_copy(update={"mortar": bowl.model_copy(update=sizes)})
         try:
-            return all(mg <= other.capacity_mg and _first(cell, other, mg)[1] >= worth_mg for mg in beds_mg)
+            return bed_mg <= other.capacity_mg and _first(cell, other, bed_mg)[1] >= worth_mg
         except NoStrokeError:
             return False
 
@@ -132,8 +118,8 @@ def _would_do(cell: CellSpec, source: Source, beds_mg: Sequence[float], worth_mg
     nearest_mm = sorted(depths_mm.tolist(), key=lambda depth_mm: abs(depth_mm - bowl.depth_mm))
     bore_mm = next((mm for mm in bores_mm.tolist() if is_worth(mm, bowl.depth_mm)), None)
     depth_mm = next((mm for mm in nearest_mm if is_worth(bowl.bore_mm, mm)), None)
-    lesser_mg = (share / 100 * beds_mg[0] for share in range(95, 0, -5) if len(beds_mg) == 1)
-    less_mg = next((mg for mg in lesser_mg if is_worth(bowl.bore_mm, bowl.depth_mm, [mg])), None)
+    lesser_mg = (share / 100 * bed_mg for share in range(95, 0, -5))
+    less_mg = next((mg for mg in lesser_mg if is_worth(bowl.bore_mm, bowl.depth_mm, mg)), None)
     would = [f"a bore of {bore_mm:g} mm"] if bore_mm is not None else []
     would += [f"a depth of {depth_mm:g} mm"] if depth_mm is not None else []
     would += [f"{format_mass(less_mg)} in it"] if less_mg is not None else []
