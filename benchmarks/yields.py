@@ -107,7 +107,7 @@ class Watching(BatchObserver):
 
     def ticked(self, root: Behaviour) -> None:
         # What a load's scoops should have brought grows without one, too, as what the last stroke had missed is found.
-        strokes = sum(self.session.cell.strokes_made.values())
+        strokes = sum(map(len, self.session.cell.strokes_made.values()))
         if strokes > self._strokes:
             self.scoops.append((len(self.doses), *self._contents_mg()))
         self._strokes = strokes

@@ -90,7 +90,7 @@ class Lot:
         scoop = self._skills["scoop"](source=source, wanted_mg=wanted_mg)
         bed = scoop._bed(self._cell)
         stroke = next(scoop._wished(self._cell, bed, believed.sources_mg[source.name]))
-        self._cell.strokes_made[source.name] = self._cell.strokes_made.get(source.name, 0) + 1
+        self._cell.strokes_made.setdefault(source.name, []).append(stroke.heading_deg)
         lifted_mg, lost_mg = self._lifted(stroke_path(Vessel.of(source.mortar), stroke, Ladle.of(self._hand)))
         there_mg = self._mortar_mg - lost_mg
         self._cone_mg = min(there_mg, self._share * self._yield.collect(lifted_mg, there_mg, self._rng))

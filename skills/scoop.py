@@ -82,7 +82,7 @@ class Scoop(Skill[Milligrams]):
         bed = self._bed(cell)
         stroke, motion = yield from cell.planned(lambda: self._planned(cell, self._wished(cell, bed, in_mortar_mg)))
         open_mm = yield from cell.make_stroke(motion, source.station)
-        cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
+        cell.strokes_made.setdefault(source.name, []).append(stroke.heading_deg)
         held_mg = self._believe(cell, stroke, open_mm, motion.duration_s, bed)
         yield from cell.move_to(source.station)
         return held_mg
@@ -163,10 +163,11 @@ class Scoop(Skill[Milligrams]):
         raise SkillFailed(Code.ARM_NO_PATH, f"at '{self.source.station}' no stroke is possible in any direction: {why}")
 
     def _headings_deg(self, cell: Cell) -> list[float]:
+        """Those that no stroke was made in, and then those that one was made in longest ago."""
         x_mm, y_mm, _ = cell.spec.stations[self.source.station].position_mm
         outward_deg = math.degrees(math.atan2(y_mm, x_mm))
-        first = cell.strokes_made.get(self.source.name, 0)
-        return [(outward_deg + HEADINGS_DEG[(first + k) % len(HEADINGS_DEG)]) % 360.0 for k in range(len(HEADINGS_DEG))]
+        last = {heading_deg: number for number, heading_deg in enumerate(cell.strokes_made.get(self.source.name, ()))}
+        return sorted(((outward_deg + deg) % 360.0 for deg in HEADINGS_DEG), key=lambda deg: last.get(deg, -1))
 
     def _believe(self, cell: Cell, stroke: Stroke, open_mm: float, duration_s: float, bed: AnyBed) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""

@@ -23,6 +23,18 @@ ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\
 LID = "  - {name: lid, box: [30 mm, 30 mm, 6 mm], at: [200 mm, 240 mm, 125 mm]}\n"
 """Over the middle of the mortar, above the cone as it hovers there: the handle of a cone that swings comes up to it."""
 
+REFILLED = """recipe: refilled
+workflow: fill_crucible
+order: as_written
+sources:
+  beads: {station: mortar_bay_2, container: small_agate_mortar, powder: glass_beads, amount: 10 g}
+  tio2: {station: mortar_bay, container: agate_mortar, powder: titanium_dioxide, amount: 66 g, refill: 20 g}
+defaults: {container: alumina_crucible, tolerance: 5 %}
+samples:
+  - {id: first, source: beads, mass: 500 mg}
+  - {id: many, source: tio2, mass: 14 g, repeat: 5}
+"""
+
 
 @pytest.fixture
 def lab(lab_folder: LabFolder) -> LabFolder:
@@ -193,6 +205,15 @@ def test_a_bowl_that_gives_little_at_a_time_is_refused_where_that_is_less_than_w
     recipe.write_text(said.replace("xrd_holder, mass: 50 mg", f"alumina_crucible, mass: {mass}"))
     told = [message for message in blocked(lab) if re.search("a stroke in this bowl brings", message)]
     assert len(told) == cannot
+
+
+def test_a_refill_that_would_fill_a_bowl_too_much_to_be_scooped_from_is_refused(lab: LabFolder) -> None:
+    """At the visit for the sheet the mortar is nearly full still."""
+    recipe = lab.folder / "recipes" / "one.yaml"
+    recipe.write_text(REFILLED)
+    (problem,) = found(lab, "no-path")
+    assert re.search("'tio2' cannot be scooped from: once it is refilled, .* which they nearly fill", problem.message)
+    assert problem.mark.line == 6
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,11 @@
 """Two things at once in one cell: the arm keeps out of what another moves in, and still while something is weighed."""
 
 import math
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.dosing.ladle import Stroke
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
@@ -270,6 +273,13 @@ def scooping_bench(
     return bench, source
 
 
+def first_headings_deg(lab: Lab, station: str, strokes: int) -> list[float]:
+    """Those of the first strokes in a mortar there, where the arm can make all of them."""
+    (x_mm, y_mm, _), skill = lab.cell.stations[station].position_mm, lab.library.skills["scoop"]
+    turns_deg = vars(sys.modules[skill.__module__])["HEADINGS_DEG"][:strokes]
+    return [(math.degrees(math.atan2(y_mm, x_mm)) + turn_deg) % 360.0 for turn_deg in turns_deg]
+
+
 @pytest.fixture(scope="module")
 def swept(starter: Lab) -> tuple[Lab, MotionPlanner]:
     """A lab whose changer sweeps over a mortar, below where the cone comes to it, and its planner."""
@@ -358,6 +368,34 @@ def test_what_a_dose_that_gave_out_has_left_in_the_cone_is_poured_into_the_morta
     assert not cell.believed.has_rest
 
 
+def test_where_the_arm_can_make_strokes_in_few_directions_they_take_turns(
+    starter: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Most went the same way, along which the others had left nothing: a dose took ten scoops, now four."""
+    bench, source = scooping_bench(
+        starter, starter.motion_planner({"mortar_bay": starter.library.mortars["agate_mortar"]})
+    )
+    cell, made, can_deg = bench.cell, list[float](), first_headings_deg(starter, "mortar_bay", 2)
+
+    def planned(self: Any, cell: Any, wished: Iterator[Stroke]) -> tuple[Stroke, Any]:
+        stroke = next(one for one in wished if one.heading_deg in can_deg)
+        made.append(stroke.heading_deg)
+        return stroke, SimpleNamespace(duration_s=4.0)
+
+    def done(*asked: Any) -> Iterator[Any]:
+        yield from ()
+        return 80.0
+
+    skill = starter.library.skills["scoop"]
+    monkeypatch.setattr(skill, "_planned", planned)
+    monkeypatch.setattr(type(cell), "make_stroke", done)
+    monkeypatch.setattr(type(cell), "move_to", done)
+    for _ in range(5):
+        bench.do(skill(source=source).run(cell))
+        cell.believed.emptied()
+    assert made == [can_deg[number % 2] for number in range(5)]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("is_vessel", [False, True])
 def test_what_such_a_dose_has_left_goes_to_waste_before_the_next_scoop_where_leftovers_do(
@@ -439,7 +477,7 @@ def test_of_mortars_side_by_side_the_cone_is_withdrawn_from_the_one_that_it_was_
     cell.places_mm = all_places(lab.cell, cell.sources, [])
     for name, position_mm in cell.places_mm.items():
         planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
-    cell.strokes_made["beads"] = 3
+    cell.strokes_made["beads"] = first_headings_deg(lab, "mortar_bay", 3)
     scooping = lab.library.skills["scoop"](source=source).run(cell)
     while bench.clock.now_s < 2.0:
         next(scooping)
@@ -463,7 +501,7 @@ def test_a_scoop_that_is_halted_where_the_arm_cannot_go_straight_up_comes_up_wit
     bench, source = scooping_bench(starter, planner, "mortar_bay_2", "small_agate_mortar", 8000.0)
     cell = bench.cell
     planner.add_place("mortar_bay_2", cell.place("mortar_bay_2"))
-    cell.strokes_made["beads"] = 5
+    cell.strokes_made["beads"] = first_headings_deg(starter, "mortar_bay_2", 5)
     scooping = starter.library.skills["scoop"](source=source).run(cell)
     while bench.clock.now_s < 6.96:
         next(scooping)

@@ -77,8 +77,8 @@ class Cell:
     """Called when the operator has put a weight [mg] on the pan, or taken it off (0); the simulation follows."""
     controller: str = DEFAULT_CONTROLLER
     """The dosing controller of this run."""
-    strokes_made: dict[str, int] = field(default_factory=dict)
-    """By source, in this process: each stroke is turned from those before it."""
+    strokes_made: dict[str, list[float]] = field(default_factory=dict)
+    """By source, their headings [deg], in this process: each stroke is turned from those before it."""
     powder_beliefs: dict[str, PowderBelief] = field(default_factory=dict)
     """What is learnt of powders, by `Source.sheet_key`; the powder's own `belief` until then."""
     balance_belief: BalanceBelief = field(default_factory=BalanceBelief)

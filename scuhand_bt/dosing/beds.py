@@ -1,6 +1,7 @@
 """What is believed to lie in a source, a mortar's bowl or a jar, and the strokes that are made in it."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -14,6 +15,9 @@ AnyBed: TypeAlias = Bed | JarBed
 
 NARROWER_MM = (8.0, 16.0, 24.0)
 """How much narrower rims are tried where the arm can make no stroke with the widest."""
+LESSER = (1.0, 0.5, 0.25)
+"""Of what is wanted, the shares that are tried one after another in a bowl: where there is no stroke for all of it, or
+none that the arm can make, as its lip would come too low, there often is one for less."""
 
 
 def bed_for(mortar: Mortar, mass_mg: float, powder: Powder, ladle: Ladle, layer: Layer | None = None) -> AnyBed:
@@ -27,20 +31,32 @@ def strokes_in(bed: AnyBed, ladle: Ladle, wanted_mg: float, headings_deg: Sequen
     """The strokes along each heading that bring so much and no more, in the order in which they are to be tried.
 
     In a bowl those with the widest rim, and then narrower ones, which bring a little less, and with which the arm is
-    farther from the wall; in a jar the one along each heading, that brings most first. NoStrokeError where there is
-    none.
+    farther from the wall, and then those that bring less; in a jar the one along each heading, that brings most first.
+    NoStrokeError where there is none.
     """
     if isinstance(bed, JarBed):
         yield from bed.strokes(wanted_mg, headings_deg)
         return
-    widest = strokes.chosen(bed, ladle, wanted_mg)
-    yield from (replace(widest, heading_deg=heading_deg) for heading_deg in headings_deg)
-    for less_mm in NARROWER_MM:
+    why, tried = list[NoStrokeError](), list[Stroke]()
+    for share in LESSER:
         try:
-            narrower = strokes.chosen(bed, ladle, wanted_mg, widest.open_mm - less_mm)
-        except NoStrokeError:
-            return
-        yield from (replace(narrower, heading_deg=heading_deg) for heading_deg in headings_deg)
+            for stroke in _narrower_and_narrower(bed, ladle, share * wanted_mg):
+                if stroke not in tried:
+                    tried.append(stroke)
+                    yield from (replace(stroke, heading_deg=heading_deg) for heading_deg in headings_deg)
+        except NoStrokeError as error:
+            why.append(error)
+    if not tried:
+        raise why[0]
+
+
+def _narrower_and_narrower(bed: Bed, ladle: Ladle, wanted_mg: float) -> Iterator[Stroke]:
+    """NoStrokeError where there is none with the widest rim."""
+    widest = strokes.chosen(bed, ladle, wanted_mg)
+    yield widest
+    with suppress(NoStrokeError):
+        for less_mm in NARROWER_MM:
+            yield strokes.chosen(bed, ladle, wanted_mg, widest.open_mm - less_mm)
 
 
 def expected_mg(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> float:

@@ -122,12 +122,13 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     forecaster = _Forecaster(lab)
     jobs = tuple(_jobs(lab, in_order(recipe.order, recipe.samples, forecaster.duration_s)))
     forecasts = [forecaster.of_job(job) for job in jobs]
-    if refills := _refills(recipe.sources.values(), jobs, _persons(jobs, forecasts, lab), lab):
+    refills, refilled_mg = _refills(recipe.sources.values(), jobs, _persons(jobs, forecasts, lab), lab)
+    if refills:
         forecast = {job.name: found for job, found in zip(jobs, forecasts, strict=True)}
         jobs = tuple(one for job in jobs for one in (*refills.get(job.name, ()), job))
         forecasts = [forecast[job.name] if job.name in forecast else forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
-    demands = tuple(demand_of(recipe.samples, source) for source in recipe.sources.values())
+    demands = tuple(demand_of(recipe.samples, one, refilled_mg.get(name)) for name, one in recipe.sources.items())
     done_s = accumulate(sum(one.duration_s for one in found) for found in forecasts)
     descents = frozenset(one.descent for found in forecasts for one in found if one.descent is not None)
     return Plan(recipe, jobs, demands, persons, dict(zip((job.name for job in jobs), done_s, strict=True)), descents)
@@ -159,8 +160,8 @@ def check_unattended(plan: Plan) -> None:
 
 def _refills(
     sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[PersonNeeded], lab: Lab
-) -> dict[str, list[Job]]:
-    """The refills before each job, by its name, of sources that are refilled.
+) -> tuple[dict[str, list[Job]], dict[str, float]]:
+    """The refills before each job, by its name, of sources that are refilled; and what these hold at most after one.
 
     A mortar that does not hold what is still to come is refilled before the first sample after which it would hold less
     than `RESERVE`, and a jar before the first one that is not sure to come of it; rather when a person comes anyway, be
@@ -169,6 +170,7 @@ def _refills(
     visits = {person.job for person in persons}
     samples = [job.sample for job in jobs if job.sample is not None]
     found: dict[str, list[Job]] = {}
+    most_mg: dict[str, float] = {}
     for source in sources:
         if source.refill_mg is None:
             continue
@@ -192,13 +194,14 @@ def _refills(
                 found.setdefault(at.name, []).append(Job(named, REFILL, {"source": source}))
                 visits.add(at.name)
                 left_mg += source.refill_into_mg(held_mg)
+                most_mg[source.name] = max(most_mg.get(source.name, 0.0), held_mg + source.refill_into_mg(held_mg))
                 since = []
                 jar = jar.with_more(source.refill_into_mg(held_mg)) if jar is not None else None
                 left = _after_dose(jar, needs_mg, source)
             jar = left or jar
             left_mg -= needs_mg
             left_mg -= min(goes_mg, max(0.0, left_mg))  # a scoop takes no more than there is
-    return found
+    return found, most_mg
 
 
 def _jar(source: Source, lab: Lab) -> JarBed | None:

@@ -176,6 +176,8 @@ class Demand:
     samples: int
     discarded_mg: float
     """What their scoops are to bring more, and is discarded before the last one: after that nothing lacks it."""
+    refilled_mg: float | None
+    """What it holds after the refill that fills it most; None where the plan has none."""
 
     @property
     def needed_mg(self) -> float:
@@ -190,12 +192,12 @@ class Demand:
         return f"{needs}, and as scoops bring more than a dose {gone}: it may run out"
 
 
-def demand_of(samples: Sequence[Sample], source: Source) -> Demand:
-    """What these samples need of a source."""
+def demand_of(samples: Sequence[Sample], source: Source, refilled_mg: float | None = None) -> Demand:
+    """What these samples need of a source, which refills bring to so much at the most."""
     users = sum(any(one.name == source.name for one in sample.sources) for sample in samples)
     discarded = [mg for mg in (discarded_mg(sample, source) for sample in samples) if mg > 0.0]
     doses = tuple(mg for mg in (needed_mg(sample, source) for sample in samples) if mg > 0.0)
-    return Demand(source, doses, users, sum(discarded[:-1]))
+    return Demand(source, doses, users, sum(discarded[:-1]), refilled_mg)
 
 
 def needed_mg(sample: Sample, source: Source) -> float:

@@ -321,7 +321,7 @@ def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
 def _key(plan: Plan, lab: Lab) -> str:
     """What the ways, and what is said of them, depend on, as a hash."""
     kinds = sorted({repr(kind.kind) for sample in plan.recipe.samples for kind in sample.all_containers})
-    demands = sorted(f"{demand.source!r} {demand.doses_mg}" for demand in plan.demands)
+    demands = sorted(f"{demand.source!r} {demand.doses_mg} {demand.refilled_mg}" for demand in plan.demands)
     depends = (source_digest(), lab.urdf, lab.cell, demands, kinds, sorted(plan.descents))
     return hashlib.sha256(repr(depends).encode()).hexdigest()
 

@@ -46,14 +46,22 @@ class MortarCannotBeScooped(SkillFailed):
 
     def __init__(self, source: str, why: str) -> None:
         super().__init__(Code.ARM_NO_PATH, f"'{source}' cannot be scooped from: {why}")
-        self.source = source
+        self.source, self.why = source, why
 
 
 def require_first(cell: CellSpec, demand: Demand) -> None:
-    """MortarCannotBeScooped where the first stroke in what a plan begins with brings too little for it."""
+    """MortarCannotBeScooped where the first stroke in what a plan begins with brings too little for it.
+
+    And where none could be made after a refill.
+    """
     source = demand.source
     worth_mg = FIRST_SHARE * _at_once_mg(source)
     stroke_worth(cell, source, source.amount_mg, min(worth_mg, demand.needed_mg))
+    if demand.refilled_mg is not None:
+        try:
+            stroke_in(cell, source, demand.refilled_mg)
+        except MortarCannotBeScooped as failure:
+            raise MortarCannotBeScooped(source.name, f"once it is refilled, {failure.why}") from None
 
 
 def poor_first_mg(cell: CellSpec, source: Source, largest_mg: float) -> float | None:

@@ -97,9 +97,10 @@ def _lacks(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind]
 
 
 def _beds_mg(demand: Demand) -> list[float]:
-    """What the plan begins with in a mortar, and what it leaves."""
-    left_mg = demand.source.amount_mg - demand.needed_mg
-    return list(dict.fromkeys([demand.source.amount_mg, max(left_mg, LEAST_BED_MG)]))
+    """What the plan begins with in a mortar, what a refill brings it to, and what it leaves."""
+    amount_mg = demand.source.amount_mg
+    left_mg = max(amount_mg - demand.needed_mg, LEAST_BED_MG)
+    return list(dict.fromkeys([amount_mg, demand.refilled_mg or amount_mg, left_mg]))
 
 
 def _ways(
