@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from scuhand_bt.dosing.beds import AnyBed, bed_for, expected_mg, found_mg, layer_left, strokes_in
+from scuhand_bt.dosing.beds import AnyBed, bed_for, expected_mg, found_mg, layer_left, strokes_for_less, strokes_in
 from scuhand_bt.dosing.jars import LEAST_MG
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
@@ -110,7 +110,7 @@ class Scoop(Skill[Milligrams]):
         )
 
     def _wished(self, cell: Cell, bed: AnyBed, in_mortar_mg: float) -> Iterator[Stroke]:
-        """The strokes that may be made, the first that the arm can make before others."""
+        """The strokes that may be made, the first that the arm can make before others; for less after all others."""
         source, ladle = self.source, Ladle.of(cell.spec.hand)
         yielded = cell.believed.yields.get(source.name, 1.0)
         # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
@@ -123,15 +123,24 @@ class Scoop(Skill[Milligrams]):
         pressed_mm = min(self.over_travel_mm, LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand))
         # A hand that is as low as it may be cannot press: where it can nowhere, the lip follows the wall.
         over_travels_mm = (0.0,) if is_jar or in_mortar_mg >= PRESSED_BELOW_MG else (pressed_mm, 0.0)
-        try:
-            for over_mm in over_travels_mm:
-                for stroke in strokes_in(bed, ladle, min(wanted_mg, most_mg), self._headings_deg(cell)):
-                    if is_jar and yielded * expected_mg(stroke, bed, ladle.slant_mm) < LEAST_MG:
-                        continue
-                    gap_mm = -over_mm if over_mm > 0.0 and stroke.gap_mm <= LIP_GAP_MM else stroke.gap_mm
-                    yield replace(stroke, gap_mm=gap_mm, lip_speed_mm_per_s=self.speed_mm_per_s)
-        except NoStrokeError as error:
-            raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
+        wanted_mg, headings_deg = min(wanted_mg, most_mg), self._headings_deg(cell)
+        why: NoStrokeError | None = None
+        for over_mm in over_travels_mm:
+            try:
+                for stroke in strokes_in(bed, ladle, wanted_mg, headings_deg):
+                    if not is_jar or yielded * expected_mg(stroke, bed, ladle.slant_mm) >= LEAST_MG:
+                        yield self._led(stroke, over_mm)
+            except NoStrokeError as error:
+                why = error
+        for stroke in strokes_for_less(bed, ladle, wanted_mg, headings_deg):
+            why = None
+            yield self._led(stroke, 0.0)
+        if why is not None:
+            raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {why}")
+
+    def _led(self, stroke: Stroke, over_mm: float) -> Stroke:
+        gap_mm = -over_mm if over_mm > 0.0 and stroke.gap_mm <= LIP_GAP_MM else stroke.gap_mm
+        return replace(stroke, gap_mm=gap_mm, lip_speed_mm_per_s=self.speed_mm_per_s)
 
     def _out_of_reach(self, in_mortar_mg: float, *, was_scooped_from: bool) -> SkillFailed:
         source = self.source

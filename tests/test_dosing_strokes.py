@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.cell.believed import Believed
-from scuhand_bt.dosing import strokes
 from scuhand_bt.dosing.bed import Bed, Layer
-from scuhand_bt.dosing.beds import strokes_in
+from scuhand_bt.dosing.beds import strokes_for_less, strokes_in
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import (
     BENT_LIMIT,
@@ -199,31 +198,19 @@ def test_a_bowl_in_which_the_lip_comes_beyond_the_middle_is_refused() -> None:
 
 
 def test_narrower_strokes_are_tried_once_the_widest_has_been_in_every_direction() -> None:
-    strokes = list(strokes_in(Bed(MORTAR, 12_000.0, BEADS), LADLE, 4000.0, [90.0, 270.0]))
-    assert [(stroke.open_mm, stroke.heading_deg) for stroke in strokes[:8]] == [
+    strokes = strokes_in(Bed(MORTAR, 12_000.0, BEADS), LADLE, 4000.0, [90.0, 270.0])
+    assert [(stroke.open_mm, stroke.heading_deg) for stroke in strokes] == [
         *((82.0, 90.0), (82.0, 270.0), (74.0, 90.0), (74.0, 270.0)),
         *((66.0, 90.0), (66.0, 270.0), (58.0, 90.0), (58.0, 270.0)),
     ]
-    assert min(stroke.gap_mm for stroke in strokes[8:]) > max(stroke.gap_mm for stroke in strokes[:8]), "then for less"
 
 
-def test_a_stroke_that_brings_less_is_tried_where_there_is_none_for_what_is_wanted(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A sheet that is large for its bowl goes into some beds only so deep: a dose was lost with 25 g before it."""
-    most_mg = 2500.0
-
-    def as_deep_as_it_goes(bed: Bed, ladle: Ladle, wanted_mg: float, *widest_mm: float) -> Stroke:
-        if wanted_mg > most_mg:
-            raise NoStrokeError("beyond the middle")
-        return chosen(bed, ladle, wanted_mg, *widest_mm)
-
-    monkeypatch.setattr(strokes, "chosen", as_deep_as_it_goes)
+def test_those_for_less_keep_farther_from_the_wall_than_any_for_all() -> None:
+    """A dose was lost where the arm could not bring the lip so low, with 25 g in the mortar."""
     bed = Bed(MORTAR, 12_000.0, BEADS)
-    assert next(strokes_in(bed, LADLE, 4000.0, [90.0])) == replace(chosen(bed, LADLE, 2000.0), heading_deg=90.0)
-    most_mg = 0.0
-    with pytest.raises(NoStrokeError, match="beyond the middle"):
-        next(strokes_in(bed, LADLE, 4000.0, [90.0]))
+    for_all, for_less = (list(some(bed, LADLE, 4000.0, [90.0])) for some in (strokes_in, strokes_for_less))
+    assert min(stroke.gap_mm for stroke in for_less) > max(stroke.gap_mm for stroke in for_all)
+    assert for_less[0] == replace(chosen(bed, LADLE, 2000.0), heading_deg=90.0)
 
 
 def test_the_less_there_is_the_more_of_it_lies_at_the_sides_where_strokes_leave_it() -> None:

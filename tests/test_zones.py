@@ -368,32 +368,59 @@ def test_what_a_dose_that_gave_out_has_left_in_the_cone_is_poured_into_the_morta
     assert not cell.believed.has_rest
 
 
-def test_where_the_arm_can_make_strokes_in_few_directions_they_take_turns(
-    starter: Lab, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Most went the same way, along which the others had left nothing: a dose took ten scoops, now four."""
-    bench, source = scooping_bench(
-        starter, starter.motion_planner({"mortar_bay": starter.library.mortars["agate_mortar"]})
-    )
-    cell, made, can_deg = bench.cell, list[float](), first_headings_deg(starter, "mortar_bay", 2)
-
-    def planned(self: Any, cell: Any, wished: Iterator[Stroke]) -> tuple[Stroke, Any]:
-        stroke = next(one for one in wished if one.heading_deg in can_deg)
-        made.append(stroke.heading_deg)
-        return stroke, SimpleNamespace(duration_s=4.0)
+@pytest.fixture
+def unmoved(starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Stroke], bool], int], list[Stroke]]:
+    """Scoops whose motions are not made, by an arm that can make such strokes only: what was chosen."""
+    mortars = {"mortar_bay": starter.library.mortars["agate_mortar"]}
+    bench, source = scooping_bench(starter, starter.motion_planner(mortars))
+    cell, skill = bench.cell, starter.library.skills["scoop"]
 
     def done(*asked: Any) -> Iterator[Any]:
         yield from ()
         return 80.0
 
-    skill = starter.library.skills["scoop"]
-    monkeypatch.setattr(skill, "_planned", planned)
     monkeypatch.setattr(type(cell), "make_stroke", done)
     monkeypatch.setattr(type(cell), "move_to", done)
-    for _ in range(5):
-        bench.do(skill(source=source).run(cell))
-        cell.believed.emptied()
-    assert made == [can_deg[number % 2] for number in range(5)]
+
+    def scoops(can: Callable[[Stroke], bool], count: int) -> list[Stroke]:
+        made = list[Stroke]()
+
+        def planned(self: Any, cell: Any, wished: Iterator[Stroke]) -> tuple[Stroke, Any]:
+            made.append(next(stroke for stroke in wished if can(stroke)))
+            return made[-1], SimpleNamespace(duration_s=4.0)
+
+        monkeypatch.setattr(skill, "_planned", planned)
+        for _ in range(count):
+            bench.do(skill(source=source).run(cell))
+            cell.believed.emptied()
+        return made
+
+    return scoops
+
+
+def test_where_the_arm_can_make_strokes_in_few_directions_they_take_turns(
+    starter: Lab, unmoved: Callable[[Callable[[Stroke], bool], int], list[Stroke]]
+) -> None:
+    """Most went the same way, along which the others had left nothing: a dose took ten scoops, now four."""
+    can_deg = first_headings_deg(starter, "mortar_bay", 2)
+    made = unmoved(lambda stroke: stroke.heading_deg in can_deg, 5)
+    assert [stroke.heading_deg for stroke in made] == [can_deg[number % 2] for number in range(5)]
+
+
+def test_where_the_arm_cannot_bring_the_lip_so_low_a_stroke_for_less_is_made(
+    unmoved: Callable[[Callable[[Stroke], bool], int], list[Stroke]],
+) -> None:
+    """A dose was lost to `arm.no_path` with 25 g in the mortar."""
+    wished = list[Stroke]()
+
+    def is_higher(stroke: Stroke) -> bool:
+        wished.append(stroke)
+        return stroke.gap_mm > wished[0].gap_mm
+
+    (made,) = unmoved(is_higher, 1)
+    assert made.gap_mm >= wished[0].gap_mm + 1.0
+    assert made.open_mm == wished[0].open_mm
+    assert len({stroke.open_mm for stroke in wished}) == 4, "after all narrower rims"
 
 
 @pytest.mark.slow

@@ -15,9 +15,9 @@ AnyBed: TypeAlias = Bed | JarBed
 
 NARROWER_MM = (8.0, 16.0, 24.0)
 """How much narrower rims are tried where the arm can make no stroke with the widest."""
-LESSER = (1.0, 0.5, 0.25)
-"""Of what is wanted, the shares that are tried one after another in a bowl: where there is no stroke for all of it, or
-none that the arm can make, as its lip would come too low, there often is one for less."""
+LESSER = (0.5, 0.25)
+"""Of what is wanted, the shares for which there often is a stroke in a bowl where there is none for all of it, or none
+that the arm can make, as its lip would come too low."""
 
 
 def bed_for(mortar: Mortar, mass_mg: float, powder: Powder, ladle: Ladle, layer: Layer | None = None) -> AnyBed:
@@ -31,32 +31,27 @@ def strokes_in(bed: AnyBed, ladle: Ladle, wanted_mg: float, headings_deg: Sequen
     """The strokes along each heading that bring so much and no more, in the order in which they are to be tried.
 
     In a bowl those with the widest rim, and then narrower ones, which bring a little less, and with which the arm is
-    farther from the wall, and then those that bring less; in a jar the one along each heading, that brings most first.
-    NoStrokeError where there is none.
+    farther from the wall; in a jar the one along each heading, that brings most first. NoStrokeError where there is
+    none.
     """
     if isinstance(bed, JarBed):
         yield from bed.strokes(wanted_mg, headings_deg)
         return
-    why, tried = list[NoStrokeError](), list[Stroke]()
-    for share in LESSER:
-        try:
-            for stroke in _narrower_and_narrower(bed, ladle, share * wanted_mg):
-                if stroke not in tried:
-                    tried.append(stroke)
-                    yield from (replace(stroke, heading_deg=heading_deg) for heading_deg in headings_deg)
-        except NoStrokeError as error:
-            why.append(error)
-    if not tried:
-        raise why[0]
-
-
-def _narrower_and_narrower(bed: Bed, ladle: Ladle, wanted_mg: float) -> Iterator[Stroke]:
-    """NoStrokeError where there is none with the widest rim."""
     widest = strokes.chosen(bed, ladle, wanted_mg)
-    yield widest
-    with suppress(NoStrokeError):
-        for less_mm in NARROWER_MM:
-            yield strokes.chosen(bed, ladle, wanted_mg, widest.open_mm - less_mm)
+    yield from (replace(widest, heading_deg=heading_deg) for heading_deg in headings_deg)
+    for less_mm in NARROWER_MM:
+        try:
+            narrower = strokes.chosen(bed, ladle, wanted_mg, widest.open_mm - less_mm)
+        except NoStrokeError:
+            return
+        yield from (replace(narrower, heading_deg=heading_deg) for heading_deg in headings_deg)
+
+
+def strokes_for_less(bed: AnyBed, ladle: Ladle, wanted_mg: float, headings_deg: Sequence[float]) -> Iterator[Stroke]:
+    """Those in a bowl for the shares `LESSER` of what is wanted; none where there are none."""
+    for share in LESSER if isinstance(bed, Bed) else ():
+        with suppress(NoStrokeError):
+            yield from strokes_in(bed, ladle, share * wanted_mg, headings_deg)
 
 
 def expected_mg(stroke: Stroke, bed: AnyBed, sheet_radius_mm: float) -> float:
