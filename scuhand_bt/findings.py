@@ -104,6 +104,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A bowl is so small, or so shallow, or a jar holds so little, that doses take several scoops each.",
             "A deeper mortar, or a larger one; in a jar more powder.",
         ),
+        "one-scoop": _warning(
+            "A sample takes all of its doses of one scoop, and one brings less of what is in the mortar then.",
+            "Smaller doses, several samples, or a workflow that scoops again, as `fill` does.",
+        ),
         "source-lent": _warning(
             "A source holds what its samples need, but not what others of its lot may take, as it is kept in the cone.",
             "More powder, `refill`, the samples of each source one after the other, or `leftover: return`.",

@@ -24,7 +24,7 @@ from scuhand_bt.specs import Container, Keeping, Powder, Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range
 from scuhand_bt.tree.library import Library, Percent, parameters_of, resolve_percent
-from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode
+from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode, walk
 from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}
@@ -55,6 +55,8 @@ class Pour:
     """The sample's input that its mass is, if it is one."""
     beside_mg: float = 0.0
     """How much more than `most_mg` is still in tolerance, at most; 0 where nothing bounds that."""
+    scoop: int | None = None
+    """The number of the scoop that it must come of; None where it may be of others, or there is another try."""
 
     @property
     def place(self) -> tuple[str | None, str | None]:
@@ -79,14 +81,15 @@ class Flow:
 
 @dataclass(frozen=True)
 class _Reached:
-    """What may hold at a place of the tree: the container and source named last, the last doses of each, and how what
-    is in the cone was dealt with since it was scooped.
+    """What may hold at a place of the tree: the container and source named last, the last doses of each, how what is
+    in the cone was dealt with since it was scooped, and by which scoop, if it is one.
     """
 
     containers: frozenset[str | None]
     sources: frozenset[str | None]
     last: frozenset[Pour] = frozenset()
     leaves: frozenset[Keeping | None] = frozenset({None})
+    scoop: int | None = None
 
     def __or__(self, other: "_Reached") -> "_Reached":
         return _Reached(
@@ -94,6 +97,7 @@ class _Reached:
             self.sources | other.sources,
             self.last | other.last,
             self.leaves | other.leaves,
+            self.scoop if self.scoop == other.scoop else None,
         )
 
 
@@ -127,6 +131,8 @@ class _Follower:
         self._problems = problems
         self._scoops: dict[str, Call] = {}
         """By source, what scoops from it, as the sample's own workflow calls it."""
+        self._scooped = 0
+        self._is_try = False
 
     @property
     def is_mixed(self) -> bool:
@@ -139,6 +145,8 @@ class _Follower:
         if isinstance(node, Decorator):
             if node.kind == "for_each":
                 return self._of_for_each(node, names, reached, at)
+            if node.kind == "retry" and self._may_scoop(node.child):
+                return self._of_try(node.child, names, reached, at)
             after = self.of(node.child, names, reached, at)
             return reached | after if node.kind in ("optional", "invert") else after
         if isinstance(node, Choice):
@@ -149,13 +157,30 @@ class _Follower:
             reached = self.of(child, names, reached, at)
         return reached
 
+    def _may_scoop(self, node: TreeNode) -> bool:
+        library = self._library
+        calls = [part.name for part in walk(node) if isinstance(part, Call)]
+        return any(
+            Code.SOURCE_EMPTY in library.skills[name].raises
+            if name in library.skills
+            else self._may_scoop(library.workflows[name].tree)
+            for name in calls
+        )
+
+    def _of_try(self, node: TreeNode, names: Names, reached: _Reached, at: Call | None) -> _Reached:
+        """What another try, or way, may stand in for: its doses need not come of one scoop."""
+        before, self._is_try = self._is_try, True
+        after = self.of(node, names, reached, at)
+        self._is_try = before
+        return after
+
     def _of_fallback(self, node: Branch, names: Names, reached: _Reached, at: Call | None) -> _Reached:
         """Any of its children may end it, after those before had failed at any of their steps."""
         ends: list[_Reached] = []
         lots: list[set[str | None]] = []
         for child in node.children:
             before = len(self.pours)
-            ends.append(self.of(child, names, reached, at))
+            ends.append(self._of_try(child, names, reached, at))
             reached |= ends[-1]
             lots.append({pour.lot for pour in self.pours[before:]})
         if sum(bool(of_child) for of_child in lots) > 1:
@@ -193,7 +218,7 @@ class _Follower:
         ends, lots = list[_Reached](), set[str | None]()
         for case in node.cases:
             poured = len(self.pours)
-            ends.append(self.of(case.child, names, reached, at))
+            ends.append(self._of_try(case.child, names, reached, at))
             lots.add(self.pours[-1].lot if len(self.pours) > poured else before)
         if node.kind == "if" and not node.is_exhaustive:
             ends.append(reached)
@@ -287,7 +312,8 @@ class _Follower:
         skill = self._library.skills[node.name]
         if Code.SOURCE_EMPTY in skill.raises:
             self._scoops.update({source: at for source in reached.sources if source})
-            reached = replace(reached, leaves=frozenset({None}))
+            self._scooped += 1
+            reached = replace(reached, leaves=frozenset({None}), scoop=self._scooped)
         if skill.empties_cone:
             reached = replace(reached, leaves=self._kept_by(node, given))
         target = _target_of(skill)
@@ -304,6 +330,7 @@ class _Follower:
         stems, share = names.input_in(node, target), values[TOLERANCE]
         beside_mg = share.ratio * high_mg if isinstance(share, Percent) else None
         beside_mg = beside_mg or self._range(node, TOLERANCE, tolerance_mg, names)[1]
+        is_one = len(reached.containers) == len(reached.sources) == 1 and mass_mg is not None
         pours = frozenset(
             Pour(
                 container,
@@ -316,6 +343,7 @@ class _Follower:
                 tolerance_mark=tolerance_mark,
                 mass_input=stems,
                 beside_mg=beside_mg if math.isfinite(beside_mg) else 0.0,
+                scoop=reached.scoop if is_one and not self._is_try else None,
             )
             for container in reached.containers
             for source in reached.sources

@@ -34,6 +34,8 @@ class Take:
 
     source: Source
     mass_mg: float | None
+    scoop: int | None = None
+    """The number of the scoop that it must come of, if it is one."""
 
     @property
     def needed_mg(self) -> float:
@@ -88,7 +90,7 @@ class Sample:
                 takes.append(Take(by_name[pour.source], None))
             elif pour.source and pour.most_mg is not None:
                 before_mg = held_mg.get((pour.container, pour.source), 0.0)
-                takes.append(Take(by_name[pour.source], max(0.0, pour.most_mg - before_mg)))
+                takes.append(Take(by_name[pour.source], max(0.0, pour.most_mg - before_mg), pour.scoop))
                 held_mg[pour.container, pour.source] = max(before_mg, pour.most_mg)
         return tuple(takes)
 

@@ -25,6 +25,7 @@ from scuhand_bt.recipe.recipe import Recipe, RecipeGiven, read_recipe
 from scuhand_bt.recipe.sample import Sample, needed_mg
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.inventory_conflicts import conflicts
+from scuhand_bt.run.one_scoop import warn_of_one_scoop
 from scuhand_bt.run.stroke_ways import MortarCannotBeScooped, poor_first_mg
 from scuhand_bt.silencers import without_silenced
 from scuhand_bt.skill import SkillFailed
@@ -135,6 +136,7 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
         return None
     _check_doubts(recipe, lab, problems)
     _check_first_strokes(plan, lab, problems)
+    warn_of_one_scoop(plan, lab.cell, problems)
     if not fast:
         _check_ways(plan, lab, problems)
     return plan

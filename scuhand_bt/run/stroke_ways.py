@@ -14,7 +14,7 @@ from scuhand_bt.dosing.beds import bed_for, expected_mg, strokes_in
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.jars import COUNTED_ON_DEG, SIZES_MM, WIDEST_MM, JarBed, sure_doses
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
-from scuhand_bt.dosing.strokes import scooped_for_mg
+from scuhand_bt.dosing.strokes import LOAD_AIM, scooped_for_mg
 from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
@@ -74,6 +74,15 @@ def poor_first_mg(cell: CellSpec, source: Source, largest_mg: float) -> float | 
     except ValueError:  # no stroke; or a vessel that cannot be, which is told where it is written
         return None
     return brings_mg if brings_mg < min(POOR_SHARE * _at_once_mg(source), POOR_DOSES * largest_mg) else None
+
+
+def one_load_mg(cell: CellSpec, source: Source, bed_mg: float) -> float | None:
+    """What one scoop should bring of such a bed, level; None where there is no stroke."""
+    try:
+        _, brings_mg = _first(cell, source, bed_mg)
+    except ValueError:  # as above
+        return None
+    return min(brings_mg, LOAD_AIM * source.powder.load_limit_mg)
 
 
 def _at_once_mg(source: Source) -> float:
