@@ -1,7 +1,9 @@
 """Doses that a workflow takes of one scoop: whether one can bring them all, before a run finds the cone empty."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing.strokes import LAST_SHARE, LOAD_AIM
@@ -13,7 +15,7 @@ from scuhand_bt.run.stroke_ways import one_load_mg
 from scuhand_bt.specs import Source
 
 OTHER_FILLS = (0.75, 0.5, 0.25, 1.5, 2.0, 3.0)
-"""Times what is in a mortar, of which a scoop may bring enough: the first that does is told."""
+"""Times what a source begins with, of which a scoop may bring enough: the first that does is told."""
 
 
 @dataclass(frozen=True)
@@ -27,23 +29,22 @@ class _OfOneScoop:
 
 
 def warn_of_one_scoop(plan: Plan, cell: CellSpec, problems: Problems) -> None:
-    """Warn of samples whose doses are more than one scoop lets out; of those alike, once.
+    """Warn of samples whose doses are more than one scoop should bring; of those alike, once.
 
-    The bed is taken to be level. Strokes leave it less so, and bring less: what is not warned of may be lost, too.
+    That is the less of what the first stroke brings, and one in what is left by then, if that were level: in a bowl
+    that is nearly full the former is less, and strokes leave it no better.
     """
     told = set[tuple[str, tuple[float, ...]]]()
     for one in _of_one_scoop(plan):
-        if (one.source.name, one.doses_mg) in told:
+        source = one.source
+        brings_mg, bed_mg = _brings_mg(cell, source, (source.amount_mg, one.bed_mg))
+        if brings_mg >= sum(one.doses_mg) or (source.name, one.doses_mg) in told:
             continue
-        brings_mg = one_load_mg(cell, one.source, one.bed_mg)
-        if brings_mg is None or (sure_mg := _sure_mg(brings_mg)) >= sum(one.doses_mg):
-            continue
-        told.add((one.source.name, one.doses_mg))
-        doses, powder = counted(len(one.doses_mg), "dose"), one.source.powder.name
-        what = f"'{one.sample.id}' takes {doses} ({format_mass(sum(one.doses_mg))}) of one scoop from "
-        what += f"'{one.source.name}', and of {format_mass(one.bed_mg)} of {powder} one brings {format_mass(brings_mg)}"
-        what += f", of which some {format_mass(sure_mg)} come well: the cone may run empty"
-        problems.warn(one.sample.mark, what, _remedy(one, cell, sure_mg), code="one-scoop")
+        told.add((source.name, one.doses_mg))
+        doses = f"{counted(len(one.doses_mg), 'dose')} ({format_mass(sum(one.doses_mg))})"
+        what = f"'{one.sample.id}' takes {doses} of one scoop from '{source.name}', and of {format_mass(bed_mg)} of "
+        what += f"{source.powder.name} in this mortar one should bring {format_mass(brings_mg)}: the cone may run empty"
+        problems.warn(one.sample.mark, what, _remedy(one, cell, brings_mg), code="one-scoop")
 
 
 def _of_one_scoop(plan: Plan) -> Iterator[_OfOneScoop]:
@@ -63,23 +64,28 @@ def _of_one_scoop(plan: Plan) -> Iterator[_OfOneScoop]:
             left_mg[source.name] -= needs_mg
 
 
-def _sure_mg(load_mg: float) -> float:
-    """What doses may count on of a load: as `cone_holds` has it, none is begun with the last of it."""
-    return (1.0 - LAST_SHARE) * load_mg
+def _brings_mg(
+    cell: CellSpec, source: Source, beds_mg: tuple[float, ...], of_none_mg: float = math.inf
+) -> tuple[float, float]:
+    """The least that one scoop should bring of these beds, and of which; so much where there is no stroke."""
+    loads_mg = [one_load_mg(cell, source, bed_mg) for bed_mg in beds_mg]
+    return min((of_none_mg if mg is None else mg, bed_mg) for mg, bed_mg in zip(loads_mg, beds_mg, strict=True))
 
 
-def _remedy(one: _OfOneScoop, cell: CellSpec, sure_mg: float) -> str:
-    source, sum_mg = one.source, sum(one.doses_mg)
-    fit = sum(sum(one.doses_mg[: number + 1]) <= sure_mg for number in range(len(one.doses_mg)))
-    ways = [f"doses of {format_mass(sure_mg / len(one.doses_mg))} at most"]
+def _remedy(one: _OfOneScoop, cell: CellSpec, brings_mg: float) -> str:
+    """What would do without the last of a load, which `cone_holds` begins no dose with either."""
+    source, sure = one.source, 1.0 - LAST_SHARE
+    sum_mg, fit = sum(one.doses_mg), sum(mg <= sure * brings_mg for mg in accumulate(one.doses_mg))
+    ways = [f"doses of {format_mass(math.floor(sure * brings_mg / len(one.doses_mg)))} at most"]
     ways += [f"several samples, of {counted(fit, 'dose')} each"] if fit > 0 else []
     ways += ["a workflow that scoops again where the cone runs empty, as `fill` does"]
     limit_mg = source.powder.load_limit_mg
-    if sum_mg > _sure_mg(LOAD_AIM * limit_mg):
-        return f"{', or '.join(ways)}; the powder's load limit ({format_mass(limit_mg)}) allows no scoop of so much"
-    fills_mg = (share * one.bed_mg for share in OTHER_FILLS)
-    fitting_mg = (mg for mg in fills_mg if needed_mg(one.sample, source) <= mg <= source.capacity_mg)
-    enough_mg = (mg for mg in fitting_mg if _sure_mg(one_load_mg(cell, source, mg) or 0.0) >= sum_mg)
+    if sum_mg > sure * LOAD_AIM * limit_mg:
+        return f"{', or '.join(ways)}; the powder's load limit ({format_mass(limit_mg)}) is too little for so many of one scoop"
+    taken_mg, needs_mg = source.amount_mg - one.bed_mg, needed_mg(one.sample, source)
+    fills_mg = (share * source.amount_mg for share in OTHER_FILLS)
+    fitting_mg = (mg for mg in fills_mg if taken_mg + needs_mg <= mg <= source.capacity_mg)
+    enough_mg = (mg for mg in fitting_mg if _brings_mg(cell, source, (mg, mg - taken_mg), 0.0)[0] * sure >= sum_mg)
     if (fill_mg := next(enough_mg, None)) is not None:
-        ways.append(f"{format_mass(fill_mg)} in it")
+        ways.append(f"{format_mass(math.floor(fill_mg))} in it")
     return f"{', or '.join(ways)}, or another mortar"
