@@ -48,7 +48,7 @@ def test_doses_of_one_scoop_that_are_more_than_it_brings_are_warned_of_at_their_
     assert told.mark.file.endswith("one.yaml")
     assert "'many' takes 2 doses (5.0000 g) of one scoop from 'beads', and of 17.9600 g" in told.message
     assert "several samples, of 1 dose each" in told.message
-    assert "load limit (5.0000 g) is too little for so many of one scoop" in told.message
+    assert "load limit (5.0000 g) is little for so much at once" in told.message
 
 
 def test_what_is_left_for_a_sample_counts_and_not_what_the_mortar_begins_with(lab_folder: LabFolder) -> None:

@@ -81,7 +81,7 @@ def _remedy(one: _OfOneScoop, cell: CellSpec, brings_mg: float) -> str:
     ways += ["a workflow that scoops again where the cone runs empty, as `fill` does"]
     limit_mg = source.powder.load_limit_mg
     if sum_mg > sure * LOAD_AIM * limit_mg:
-        return f"{', or '.join(ways)}; the powder's load limit ({format_mass(limit_mg)}) is too little for so many of one scoop"
+        return f"{', or '.join(ways)}; the powder's load limit ({format_mass(limit_mg)}) is little for so much at once"
     taken_mg, needs_mg = source.amount_mg - one.bed_mg, needed_mg(one.sample, source)
     fills_mg = (share * source.amount_mg for share in OTHER_FILLS)
     fitting_mg = (mg for mg in fills_mg if taken_mg + needs_mg <= mg <= source.capacity_mg)
