@@ -76,6 +76,8 @@ def test_the_page_of_a_run_that_has_ended_says_what_its_samples_came_to(finished
     assert [node["state"] for node in shown["tree"]] == ["done"] * len(shown["tree"])
     assert shown["ends_s"] == finished.result.duration_s
     assert ["cone", "0.0 mg"] in shown["holds"]
+    holds = dict(shown["holds"])
+    assert all(told.startswith("about ") for place, told in holds.items() if place.startswith("source "))
 
 
 def test_a_replay_shows_what_a_page_was_shown_then(finished: Any) -> None:

@@ -195,6 +195,13 @@ def noted(desk: Desk, *entries: StockEntry, recipe: str = RECIPE) -> list[str]:
     return [f"{conflict.mark.line}:{conflict.mark.column}: {conflict.what}" for conflict in found]
 
 
+def test_powder_is_told_with_about_where_a_run_says_how_much_and_as_it_was_entered_where_a_person_does() -> None:
+    by_run = replace(powder(4300.0), run="r1")
+    assert by_run.in_words == "about 4.3000 g"
+    assert replace(by_run, run=None, operator="Eve").in_words == "4.3000 g"
+    assert StockEntry("cone", mass_mg=0.0, run="r1").in_words == "0.0 mg", "it was seen to be emptied"
+
+
 @pytest.mark.parametrize("mass_mg", [5000.0, 4800.0, 5200.0])
 def test_amounts_that_agree_are_no_doubt(desk: Desk, mass_mg: float) -> None:
     assert noted(desk, powder(mass_mg)) == []
@@ -202,7 +209,8 @@ def test_amounts_that_agree_are_no_doubt(desk: Desk, mass_mg: float) -> None:
 
 def test_a_recipe_that_says_more_is_told_where_and_who_says_otherwise(desk: Desk) -> None:
     assert noted(desk, powder(4300.0)) == [
-        f"{AMOUNT}: 'beads' holds 4.3000 g of glass_beads/L7 by the inventory (run r1, today); the recipe says 5.0000 g"
+        f"{AMOUNT}: 'beads' holds about 4.3000 g of glass_beads/L7 by the inventory (run r1, today); "
+        "the recipe says 5.0000 g"
     ]
     (refilled,) = noted(desk, powder(9000.0))
     assert refilled.endswith("the recipe says 5.0000 g")
@@ -213,7 +221,9 @@ def test_what_is_discarded_of_the_inventorys_figure_is_told_where_it_is_asked_wh
     gone = "its samples need 150.0 mg with losses, and as scoops bring more than a dose some 2.0 g are discarded before"
     (doubt,) = _doubts(desk, powder(2000.0), recipe=discarding)
     assert f"2.0000 g of glass_beads/L7 by the inventory (run r1, today), {gone}" in doubt.what
-    assert doubt.question.endswith(f"or 2.0000 g (inventory)? Of 2.0000 g {gone} the last one: it may run out.")
+    assert doubt.question.endswith(
+        f"or about 2.0000 g (inventory)? Of about 2.0000 g {gone} the last one: it may run out."
+    )
     assert [name for name, _ in doubt.answers] == ["recipe", "inventory"]
     assert gone not in noted(desk, powder(2300.0), recipe=discarding)[0]
     assert gone not in noted(desk, powder(100.0), recipe=discarding)[0], "that is too little whatever is discarded"
@@ -233,7 +243,7 @@ def test_too_little_for_the_samples_is_said(desk: Desk) -> None:
 def test_another_powder_or_lot_is_refused_by_a_real_run_with_what_to_say(desk: Desk) -> None:
     for entry in (powder(4000.0, lot="L8"), powder(4000.0, lot="", name="titanium_dioxide")):
         (problem,) = problems_of(lambda entry=entry: require_resolvable(_doubts(desk, entry), unattended=False))
-        assert problem.startswith(f"{SOURCE}: by the inventory 'mortar_bay' holds 4.0000 g of {entry.lot_key} (run r1")
+        assert problem.startswith(f"{SOURCE}: by the inventory 'mortar_bay' holds about 4.0000 g of {entry.lot_key}")
         assert "scuhand-bt inventory set mortar_bay '5000 mg' --powder glass_beads --lot L7" in problem
     assert noted(desk, powder(0.0, lot="L8")) == []
 
@@ -242,7 +252,7 @@ def test_a_cone_or_a_sheet_of_another_lot_is_doubted(desk: Desk) -> None:
     cone = StockEntry("cone", "", "glass_beads", "L8", 300.0)
     sheet = StockEntry("sheet", "", "glass_beads", "L8", used=2)
     of_cone, of_sheet = noted(desk, cone, sheet)
-    assert of_cone.startswith(f"{SOURCE}: by the inventory the cone holds 300.0 mg of glass_beads/L8")
+    assert of_cone.startswith(f"{SOURCE}: by the inventory the cone holds about 300.0 mg of glass_beads/L8")
     assert "inventory set cone '0 mg'" in of_cone
     assert of_sheet.startswith(f"{SOURCE}: by the inventory the sheet has touched glass_beads/L8")
     assert noted(desk, replace(cone, lot="L7"), replace(sheet, lot="L7")) == []
@@ -255,7 +265,7 @@ def test_a_recipe_without_powder_needs_an_empty_cone(desk: Desk) -> None:
         desk, StockEntry("cone", "", "glass_beads", "L7", 300.0), StockEntry("sheet", "", "x", used=2), recipe=check
     )
     assert conflict.startswith(
-        "1:1: by the inventory the cone holds 300.0 mg of glass_beads/L7 (run r1, today); this rec"
+        "1:1: by the inventory the cone holds about 300.0 mg of glass_beads/L7 (run r1, today); this rec"
     )
 
 
@@ -338,7 +348,7 @@ def test_a_cone_that_was_not_seen_to_be_empty_is_no_empty_one_for_the_next_run(t
 def test_a_real_run_asks_how_much_there_is(cell: Cell, desk: Desk, answer: str, mass_mg: float) -> None:
     operator = Answering(answer)
     assert settled(cell, desk, operator, powder(3000.0)).believed.sources_mg == {"beads": mass_mg}
-    question = "How much powder is at mortar_bay: 5.0000 g (recipe) or 3.0000 g (inventory)?"
+    question = "How much powder is at mortar_bay: 5.0000 g (recipe) or about 3.0000 g (inventory)?"
     assert operator.asked == [(question, ("recipe", "inventory", "stop"))]
 
 

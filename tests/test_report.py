@@ -193,6 +193,15 @@ def test_the_powder_of_each_source_adds_up(ran: Ran) -> None:
     assert (beads.start_mg, msg.start_mg) == (20_000.0, 8_000.0)
 
 
+def test_books_that_close_are_not_told_as_weighed(ran: Ran) -> None:
+    """It was told with the doses' uncertainty alone, -0.2 ± 0.1 mg, where 200 mg were elsewhere."""
+    page = Tables(page_of(ran.journal))
+    heads, *rows = next(table for table in page.found.values() if table and "not booked" in table[0])
+    assert [row[heads.index("not booked")].count("±") for row in rows] == [0, 0]
+    assert [row[heads.index("dosed, weighed")].count("±") for row in rows] == [1, 1]
+    assert "not weighed: how uncertain that is nobody knows" in " ".join(page.text.split())
+
+
 @pytest.mark.slow
 def test_what_failed_and_who_did_what_is_told(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, BATCH, controller=None, faults=NO_FLOW)

@@ -723,7 +723,9 @@ def test_two_trials_tell_what_they_had_and_no_interval(setup: Setup, capsys: pyt
         in said
     )
     tell_odds(odds_of(plan, [fake(seed, 300.0, "abc") for seed in range(3)]))
-    assert "By 3 dry runs (intervals of 90 %): it takes" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "By 3 dry runs (intervals of 90 %): it takes" in said
+    assert "What is left is what each run reckons, by what its scoops should bring: no interval tells" in said
 
 
 def test_one_more_run_uses_what_a_few_dry_runs_say_nine_times_of_ten(setup: Setup) -> None:

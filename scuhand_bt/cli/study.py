@@ -188,6 +188,8 @@ def _propose(
 
 def tell_odds(odds: "Odds") -> None:
     """The odds, as a person reads them."""
+    from scuhand_bt.study import RECKONED
+
     if odds.tells_intervals:
         by = f"{odds.trials} dry runs (intervals of 90 %)"
     elif odds.trials == 1:
@@ -202,6 +204,7 @@ def tell_odds(odds: "Odds") -> None:
         table.add_row(name, _range(scoops, lambda count: f"{count:.0f}"), *(_range(one, format_mass) for one in masses))
     if odds.scoops:
         out.print(table)
+        out.print(RECKONED, soft_wrap=True)
     if odds.samples:
         out.print(f"In tolerance: {odds.good:.1f} of {round(odds.asked, 1):g} samples are to be expected.")
     alike: dict[Chance, list[str]] = {}

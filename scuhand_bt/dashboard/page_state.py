@@ -148,11 +148,12 @@ def _holds(run: RunBegun, believed: Mapping[str, Any]) -> Iterator[tuple[str, st
         source = run.sources.get(name)
         lot = f", lot {source.lot}" if source is not None and source.lot else ""
         of = f" of {source.powder}{lot}, at {source.station}" if source is not None else ""
-        yield f"source {name}", f"{format_mass(mass_mg)}{of}"
-    of = f" from {believed['cone_source']}" if believed["cone_source"] else ""
-    yield "cone", f"{format_mass(believed['cone_mg'])}{of}"
+        yield f"source {name}", f"about {format_mass(mass_mg)}{of}"
+    source_of_cone, in_cone = believed["cone_source"], format_mass(believed["cone_mg"])
+    yield "cone", f"about {in_cone} from {source_of_cone}" if source_of_cone else in_cone
     for station, held in believed.get("vessels", {}).items():
-        yield f"vessel {station}", format_mass(held["mass_mg"]) + (f" of {held['lot']}" if held["lot"] else "")
+        mass = format_mass(held["mass_mg"])
+        yield f"vessel {station}", f"about {mass} of {held['lot']}" if held["lot"] else mass
     pan = believed["pan"]
     yield "pan", f"{pan['id']} ({pan['name']})" if pan else "nothing that is known"
     yield (

@@ -59,10 +59,11 @@ class StockEntry:
 
     @property
     def in_words(self) -> str:
-        """How much, or how many."""
+        """How much, or how many; `about` so much powder where a run says so, which has weighed what it dosed only."""
         match self.kind:
             case "station" | "cone":
-                return format_mass(self.mass_mg or 0.0)
+                is_reckoned = self.run is not None and self.powder
+                return ("about " if is_reckoned else "") + format_mass(self.mass_mg or 0.0)
             case "sheet":
                 return f"number {self.used}, {'touched' if self.powder else 'fresh'}"
             case _:

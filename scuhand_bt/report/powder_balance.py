@@ -45,7 +45,10 @@ class SourceBalance:
 
     @property
     def unaccounted_mg(self) -> float | None:
-        """At the start, less all that it went to and what is left; the weighings' uncertainty is in it."""
+        """At the start, less all that it is booked to have gone to, and to be left.
+
+        None of that but the doses was weighed: 0 tells that the books close, not that the powder is where they say.
+        """
         if self.start_mg is None or self.left_mg is None:
             return None
         return self.start_mg - self.dosed_mg - self.discarded_mg - self.in_cone_mg - self.left_mg

@@ -21,7 +21,7 @@ from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
-from scuhand_bt.study.odds import COVERED, Odds, Range
+from scuhand_bt.study.odds import COVERED, RECKONED, Odds, Range
 
 NEVER = "in no dry run"
 
@@ -49,6 +49,7 @@ def preview_page(
         ],
         jobs=list(_jobs(plan, odds)),
         powder_columns=_powder_columns(odds),
+        reckoned=RECKONED,
         powders=list(_powders(plan, odds)),
         doubts=doubts,
         failures=[(what, f"{count:.2g}") for what, count in odds.not_good.items()],

@@ -266,7 +266,7 @@ def _activities(time: TimeSpent) -> list[str]:
 
 def _powder_columns(powder: Sequence[SourceBalance]) -> list[str]:
     truly = ["truly left (sim.)"] if any(one.truly_left_mg is not None for one in powder) else []
-    weighed = ["dosed, weighed", "returned", "discarded", "in the cone", "left", "not accounted for"]
+    weighed = ["dosed, weighed", "returned", "discarded", "in the cone", "left", "not booked"]
     return ["source", "powder", "at the start", "scoops", "sheets, rollers, clamp", "scooped", *weighed, *truly]
 
 
@@ -287,7 +287,7 @@ def _powder_rows(powder: Sequence[SourceBalance]) -> Iterator[list[str]]:
         ]
         unaccounted_mg = one.unaccounted_mg
         row += [_mass(one.in_cone_mg), _mass(one.left_mg)]
-        row.append(NONE if unaccounted_mg is None else f"{unaccounted_mg:+.1f} ± {one.dosed_uncertainty_mg:.1f} mg")
+        row.append(NONE if unaccounted_mg is None else f"{unaccounted_mg:+.1f} mg")
         yield row + ([_mass(one.truly_left_mg)] if one.truly_left_mg is not None else [])
 
 

@@ -124,7 +124,7 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
                 yield Conflict(marks[f"sources.{name}"], _another_powder(source, known))
             continue
         mark = marks[f"sources.{name}.amount"]
-        amount, left = format_mass(source.amount_mg), format_mass(known.mass_mg)
+        amount, left = format_mass(source.amount_mg), known.in_words
         what = f"'{name}' holds {left} of {source.sheet_key} by the inventory ({known.origin})"
         # Of a source that is refilled on the way, what the plan begins with: the visits are as that lasts.
         enough_mg = demand.needed_mg if source.refill_mg is None else min(demand.needed_mg, source.amount_mg)
@@ -145,8 +145,7 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
 
 
 def _another_powder(source: Source, known: StockEntry) -> str:
-    left = format_mass(known.mass_mg or 0.0)
-    what = f"by the inventory '{source.station}' holds {left} of {known.lot_key} ({known.origin}), not"
+    what = f"by the inventory '{source.station}' holds {known.in_words} of {known.lot_key} ({known.origin}), not"
     return f"{what} {source.sheet_key}; if the mortar was changed, {_set(source)}"
 
 

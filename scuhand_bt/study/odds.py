@@ -21,6 +21,11 @@ from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.study.trial import LEFTOVERS, Trial
 
+RECKONED = (
+    "What is left is what each run reckons, by what its scoops should bring: no interval tells how far that is off. "
+    "Powder used is the simulation's own."
+)
+"""How the masses of `Odds.leftovers_mg` and `Odds.used_mg` were come by, for whoever reads them beside each other."""
 COVERED = 0.9
 """Of the intervals."""
 MODEL_SHARE = 0.05
