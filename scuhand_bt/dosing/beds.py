@@ -48,7 +48,7 @@ def strokes_in(bed: AnyBed, ladle: Ladle, wanted_mg: float, headings_deg: Sequen
 
 
 def strokes_for_less(bed: AnyBed, ladle: Ladle, wanted_mg: float, headings_deg: Sequence[float]) -> Iterator[Stroke]:
-    """Those in a bowl for the shares `LESSER` of what is wanted; none where there are none."""
+    """Those in a bowl for the shares `LESSER` of what is wanted: where strokes have changed it better than none."""
     for share in LESSER if isinstance(bed, Bed) else ():
         with suppress(NoStrokeError):
             yield from strokes_in(bed, ladle, share * wanted_mg, headings_deg)

@@ -240,7 +240,7 @@ class _Follower:
         try:
             return known(arguments, names.scope, self._library, call)
         except SkillFailed:
-            pass
+            pass  # one by one it is told which come to nothing; that takes longer, and is seldom needed
         found: dict[str, Any] = {}
         for key, argument in arguments.items():
             try:

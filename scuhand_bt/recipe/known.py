@@ -93,6 +93,4 @@ def known(
 
 def is_known(argument: Argument, scope: Scope) -> bool:
     """Whether a value can be told before the run."""
-    if isinstance(argument, Reference):
-        return scope.has(argument.name)
     return all(scope.has(reference.name) for reference in references_of(argument))
