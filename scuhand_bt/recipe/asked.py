@@ -7,7 +7,7 @@ when it runs is told then (`not as asked`, run/outcome.py).
 from collections.abc import Iterator, Sequence
 
 from scuhand_bt.problems import Mark, Problems
-from scuhand_bt.recipe.flow import Pour
+from scuhand_bt.recipe.pour import Pour
 from scuhand_bt.recipe.sample import Ask, Sample
 from scuhand_bt.tree.library import Library
 

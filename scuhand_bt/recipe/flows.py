@@ -5,7 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 from scuhand_bt.problems import Problems
-from scuhand_bt.recipe.flow import Flow, flow_of
+from scuhand_bt.recipe.flow import flow_of
+from scuhand_bt.recipe.pour import Flow
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.workflow import Call, TreeNode, arguments_of, references_of, walk

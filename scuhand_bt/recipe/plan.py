@@ -10,10 +10,11 @@ from scuhand_bt.dosing.jars import COUNTED_ON_DEG, JarBed, after_dose, has_way
 from scuhand_bt.dosing.ladle import Ladle
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
+from scuhand_bt.recipe.demand import Demand, demand_of, discarded_mg, needed_mg
 from scuhand_bt.recipe.known import is_known, known
 from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
-from scuhand_bt.recipe.sample import Demand, Sample, demand_of, discarded_mg, needed_mg
+from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.recipe.sources import REFILL
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case

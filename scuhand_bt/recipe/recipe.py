@@ -12,11 +12,12 @@ from scuhand_bt.failures import Code
 from scuhand_bt.lab import Lab, read_mount
 from scuhand_bt.problems import Mark, Problems, SourceError, shorten
 from scuhand_bt.recipe.asked import check_asked
+from scuhand_bt.recipe.demand import check_demand
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import wrong_id
 from scuhand_bt.recipe.leftover import with_leftover
 from scuhand_bt.recipe.order import ORDERS
-from scuhand_bt.recipe.sample import Sample, check_demand, check_reach
+from scuhand_bt.recipe.sample import Sample, check_reach
 from scuhand_bt.recipe.samples import SamplesReader
 from scuhand_bt.recipe.sources import REFILL, SourcesReader
 from scuhand_bt.specs import Source

@@ -4,7 +4,7 @@ What it takes of its sources and puts into its containers is told by what its wo
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,18 +14,13 @@ import numpy as np
 from scuhand_bt.cell import places
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.balance import BalanceSpec
-from scuhand_bt.dosing.strokes import LOAD_AIM, scooped_for_mg
 from scuhand_bt.motion import ApexPose, Mount, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
-from scuhand_bt.quantity import counted, format_mass
+from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.composition import Composition
-from scuhand_bt.recipe.flow import Flow, Pour, each_of, sources_of
+from scuhand_bt.recipe.pour import Flow, Pour, each_of, sources_of
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.yaml_source import Node
-
-LEAST_LIMIT_MG = 300.0
-"""A load limit that scoops keep, but for some first loads. In dry runs of beads and MSG first loads under limits of 20
-and 40 mg were 2 to 4.5 times as much, under 80 and 160 mg 1.6 to 2.3 times, under 320 mg 1.2 to 1.7 times."""
 
 
 @dataclass(frozen=True)
@@ -168,101 +163,6 @@ class Sample:
         return value if isinstance(value, float) else None
 
 
-@dataclass(frozen=True)
-class Demand:
-    """What a source has, and what samples take from it: their masses, and what each scoop loses."""
-
-    source: Source
-    doses_mg: tuple[float, ...]
-    """Of each sample that takes of it, in their order, losses included."""
-    samples: int
-    discarded_mg: float
-    """What their scoops are to bring more, and is discarded before the last one: after that nothing lacks it."""
-    refilled_mg: float | None
-    """What it holds after the refill that fills it most; None where the plan has none."""
-
-    @property
-    def needed_mg(self) -> float:
-        return sum(self.doses_mg)
-
-    def doubt_of(self, mass_mg: float) -> str:
-        """Why so much may be too little, though samples need no more; "" where it is enough."""
-        if self.discarded_mg == 0.0 or self.needed_mg + self.discarded_mg <= mass_mg:
-            return ""
-        needs = f"its samples need {format_mass(self.needed_mg)} with losses"
-        gone = f"some {self.discarded_mg / 1000:.1f} g are discarded before the last one"
-        return f"{needs}, and as scoops bring more than a dose {gone}: it may run out"
-
-
-def demand_of(samples: Sequence[Sample], source: Source, refilled_mg: float | None = None) -> Demand:
-    """What these samples need of a source, which refills bring to so much at the most."""
-    users = sum(any(one.name == source.name for one in sample.sources) for sample in samples)
-    discarded = [mg for mg in (discarded_mg(sample, source) for sample in samples) if mg > 0.0]
-    doses = tuple(mg for mg in (needed_mg(sample, source) for sample in samples) if mg > 0.0)
-    return Demand(source, doses, users, sum(discarded[:-1]), refilled_mg)
-
-
-def needed_mg(sample: Sample, source: Source) -> float:
-    """What a sample needs of a source, with losses."""
-    return sum(take.needed_mg for take in sample.takes if take.source.name == source.name)
-
-
-def discarded_mg(sample: Sample, source: Source) -> float:
-    """What a sample's last scoop from a source is to bring more than it needs, where that is discarded.
-
-    Of a mortar that holds little a scoop brings less. It is for planning: what a run discards, only it knows.
-    """
-    takes_mg = sum(take.mass_mg or 0.0 for take in sample.takes if take.source.name == source.name)
-    if not source.is_discarded or takes_mg == 0.0:
-        return 0.0
-    most_mg = LOAD_AIM * source.powder.load_limit_mg
-    last_mg = takes_mg - most_mg * (math.ceil(takes_mg / most_mg) - 1)
-    return min(scooped_for_mg(last_mg), most_mg) - last_mg
-
-
-def lent_mg(samples: Sequence[Sample], source: Source) -> float:
-    """What samples of other sources may take of this one, whose powder is kept in the cone for its lot.
-
-    In their order in the recipe: what comes after the last sample of this source takes nothing that that lacks.
-    """
-    lent_mg = since_mg = 0.0
-    is_kept = False
-    for sample in samples:
-        if needed_mg(sample, source) > 0.0:
-            lent_mg += min(since_mg, LOAD_AIM * source.powder.load_limit_mg)
-            since_mg, is_kept = 0.0, sample.may_keep(source)
-        elif is_kept:
-            of_lot = [take for take in sample.takes if take.source.sheet_key == source.sheet_key]
-            since_mg += sum(take.needed_mg for take in of_lot)
-            is_kept = not of_lot or sample.may_keep(source)
-    return lent_mg
-
-
-def check_source(source: Source, cell: CellSpec, marks: Mapping[str, Node], problems: Problems) -> None:
-    """The source's powder must fit into its mortar, and come where the hand opens as wide as it can.
-
-    `marks` are the places of its values.
-    """
-    powder, mortar, widest_mm = source.powder, source.mortar, cell.hand.max_opening_mm
-    if powder.belief.least_mm >= widest_mm:
-        least = f"of {powder.name} {powder.belief.little_comes}"
-        if powder.belief.threshold_mm >= widest_mm:
-            least = f"nothing of {powder.name} comes up to its belief's 'threshold', {powder.belief.threshold_mm:g} mm"
-        remedy = "correct it in robot/powders.yaml, or the hand's 'max_opening' in robot/cell.yaml"
-        problems.add(
-            marks["powder"].mark, f"the hand opens to {widest_mm:g} mm, and {least}", remedy, code="never-opened"
-        )
-    if powder.load_limit_mg < LEAST_LIMIT_MG:
-        limit, least = format_mass(powder.load_limit_mg), format_mass(LEAST_LIMIT_MG)
-        what = f"the 'load_limit' of {powder.name}, {limit}, is not kept: a scoop may bring several times as much"
-        remedy = f"{least} or more in robot/powders.yaml, if the cone may hold that"
-        problems.warn(marks["powder"].mark, what, remedy, code="small-load")
-    holds_mg = source.capacity_mg
-    if source.amount_mg > holds_mg:
-        what = f"{format_mass(source.amount_mg)} of {powder.name} does not fit into '{mortar.name}'"
-        problems.add(marks["amount"].mark, what, f"it holds {format_mass(holds_mg)}", code="source-overfull")
-
-
 def check_sample(
     sample: Sample, own: Mapping[str, Node], shared: Mapping[str, Node], cell: CellSpec, problems: Problems
 ) -> None:
@@ -332,53 +232,6 @@ def _check_room(
         if len(parts) == 1:
             holds = f"{holds}, {format_mass(container.capacity_mm3 * parts[0][1].bulk_density_mg_per_mm3)}"
         problems.add(mark, what, holds, code="container-overfull")
-
-
-def check_demand(
-    samples: Sequence[Sample],
-    sources: Mapping[str, Source],
-    marks: Mapping[str, Mark],
-    problems: Problems,
-    *,
-    may_refill: bool,
-) -> None:
-    """Each source must hold what its samples need, losses included; one that is refilled, what any of them needs.
-
-    `may_refill`: the lab has the workflow by which a person refills one on the way.
-    """
-    for name, source in sources.items():
-        demand, most_mg = demand_of(samples, source), max((needed_mg(one, source) for one in samples), default=0.0)
-        if source.refill_mg is not None and most_mg > source.refill_mg:
-            alone = next(sample for sample in samples if needed_mg(sample, source) == most_mg)
-            what = f"'{name}' is refilled with {format_mass(source.refill_mg)} of {source.powder.name}"
-            needs = f"'{alone.id}' alone needs {format_mass(most_mg)} with losses"
-            allowed = f"refill with at least {_rounded(most_mg, math.ceil)}" if most_mg <= source.amount_mg else ""
-            problems.add(marks[name], f"{what}, but {needs}", allowed, code="source-short")
-        elif source.refill_mg is None and demand.needed_mg > source.amount_mg:
-            holds = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
-            its = f"its {counted(demand.samples, 'sample')} {'needs' if demand.samples == 1 else 'need'}"
-            needs = f"{its} {format_mass(demand.needed_mg)} with losses"
-            ways = []
-            if demand.needed_mg <= source.capacity_mg:
-                ways.append(f"begin with at least {_rounded(demand.needed_mg, math.ceil)}")
-            if may_refill and most_mg <= source.amount_mg:
-                ways.append(f"let a person refill it on the way: refill: {_rounded(source.amount_mg, math.floor)}")
-            problems.add(marks[name], f"{holds}, but {needs}", ", or ".join(ways), code="source-short")
-        elif source.refill_mg is None and (doubt := demand.doubt_of(source.amount_mg)):
-            what = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}, {doubt}"
-            remedy = "more powder, `leftover: keep` or `return`, or see by `plan` what dry runs discard"
-            problems.warn(marks[name], what, remedy, code="source-discarded")
-        elif source.refill_mg is None and (lent := lent_mg(samples, source)) > source.amount_mg - demand.needed_mg:
-            what = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}, its samples need "
-            what += f"{format_mass(demand.needed_mg)} with losses, and what is kept in the cone of it may go to others "
-            what += f"of its lot in between, up to {format_mass(lent)}: it may run out"
-            remedy = "more powder, the samples of each source one after the other, or `leftover: return`"
-            problems.warn(marks[name], what, remedy, code="source-lent")
-
-
-def _rounded(mass_mg: float, towards: Callable[[float], int]) -> str:
-    """A mass to 0.1 mg as a recipe may have it, on this side of what it is."""
-    return format_mass(towards(10.0 * mass_mg) / 10.0)
 
 
 def check_reach(

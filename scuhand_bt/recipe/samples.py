@@ -11,10 +11,10 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.recipe.compose import COMPOSE, Composer, takes_composed
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
-from scuhand_bt.recipe.flow import Flow
 from scuhand_bt.recipe.flows import Flows
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
+from scuhand_bt.recipe.pour import Flow
 from scuhand_bt.recipe.sample import Sample, check_sample
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.build import bound_inputs

@@ -20,9 +20,10 @@ from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError
 from scuhand_bt.program import source_digest
 from scuhand_bt.quantity import format_mass
+from scuhand_bt.recipe.demand import needed_mg
 from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
 from scuhand_bt.recipe.recipe import Recipe, RecipeGiven, read_recipe
-from scuhand_bt.recipe.sample import Sample, needed_mg
+from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.inventory_conflicts import conflicts
 from scuhand_bt.run.one_scoop import warn_of_one_scoop

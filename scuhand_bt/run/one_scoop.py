@@ -9,8 +9,9 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing.strokes import LAST_SHARE, LOAD_AIM
 from scuhand_bt.problems import Problems
 from scuhand_bt.quantity import counted, format_mass
+from scuhand_bt.recipe.demand import needed_mg
 from scuhand_bt.recipe.plan import Plan
-from scuhand_bt.recipe.sample import Sample, needed_mg
+from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.stroke_ways import one_load_mg
 from scuhand_bt.specs import Source
 

@@ -19,7 +19,7 @@ from scuhand_bt.dosing.swing import stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.recipe.sample import Demand
+from scuhand_bt.recipe.demand import Demand
 from scuhand_bt.specs import Source
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from scuhand_bt.dosing.ladle import NoStrokeError
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.cell_solids import are_in_each_other, full_mortar, solids_of
+from scuhand_bt.recipe.demand import Demand
 from scuhand_bt.recipe.plan import Plan
-from scuhand_bt.recipe.sample import Demand
 from scuhand_bt.run.stroke_ways import (
     LEAST_BED_MG,
     MortarCannotBeScooped,
