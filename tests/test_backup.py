@@ -162,6 +162,18 @@ def test_a_backup_that_cannot_be_written_leaves_the_last_one(lab: Path, tmp_path
     assert not list(tmp_path.glob("*.new"))
 
 
+@pytest.mark.parametrize("name", [".", "recipes/own.yaml", "recipes/lab.zip", "trees/../skills/lab.zip"])
+def test_no_backup_is_written_over_a_recipe_or_into_what_it_copies(lab: Path, command: Call, name: str) -> None:
+    recipe = lab / "recipes" / "own.yaml"
+    recipe.write_text(DOSES)
+    before = sorted(lab.rglob("*"))
+    code, _, err = command("backup", f"{lab}/{name}", "--lab", lab)
+    assert code == 2
+    assert "is to be a file of this kind: .zip" in err or "would be part of what it copies" in err
+    assert recipe.read_text() == DOSES
+    assert sorted(lab.rglob("*")) == before
+
+
 # --- one file
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.shared import LabOption, app, err, out
+from scuhand_bt.cli.shared import LabOption, app, err, of_kind, out
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import counted
@@ -21,6 +21,7 @@ def backup(
     from scuhand_bt.api import find_lab, find_state
     from scuhand_bt.report import back_up
 
+    of_kind(archive, ".zip", option="ARCHIVE")
     count = back_up(find_lab(None, lab), find_state(lab), archive)
     out.print(Text(f"{archive}: {counted(count, 'file')}."), soft_wrap=True)
 

@@ -24,6 +24,9 @@ STATE = ".scuhand"
 
 def back_up(lab: Path, state: Path, archive: Path) -> int:
     """Write a lab and its state into a new archive; how many files. Raises SourceError where that cannot be."""
+    for part in FOLDERS:
+        if archive.resolve().is_relative_to((lab / part).resolve()):
+            raise _problem(archive, f"the backup would be part of what it copies; write it elsewhere than into {part}/")
     files: dict[str, str] = {}
     new = archive.with_name(f"{archive.name}.new")
     try:
