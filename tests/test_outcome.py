@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -311,6 +312,18 @@ tree:
     - park:
     - remove_container:
 """
+BROKEN_OFF = """
+workflow: broken_off
+inputs: {source: Source, container: Container, portion: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - scoop: {source: $source, wanted: $portion}
+    - move_over: {container: $container}
+    - WAY
+    - park:
+"""
 LEFT_STANDING = """
 workflow: finish_batch
 inputs: {source: Source}
@@ -335,6 +348,33 @@ def test_a_workflow_that_dispenses_25_mg_for_a_sample_of_50_mg_is_not_good(tmp_p
     assert (had.verdict, had.target_mg, had.is_good) == ("not as asked", 50.0, False)
     assert had.dispensed_mg == pytest.approx(25.0, abs=2.0)
     assert [(one.target_mg, one.bracket) for one in had.doses] == [(25.0, "closed")]
+    assert ran.result.exit_code == ExitCode.FLAGGED
+
+
+@pytest.mark.parametrize(
+    ("way", "code", "detail"),
+    [
+        ("optional: {child: TIMED}", "dose.not_reached", "a dose"),
+        ("TIMED", "workflow.timeout", "not done after 6 s; a dose"),
+    ],
+)
+def test_a_container_that_a_dose_broke_off_in_is_told_to_hold_powder_and_is_never_good(
+    tmp_path: Path, way: str, code: str, detail: str
+) -> None:
+    """A workflow may go on as if nothing had come, and asks for no mass: no row would tell of it."""
+    way = way.replace("TIMED", "{timeout: {duration: 6 s, child: {dispense: {mass: $portion}}}}")
+    lab = make_lab(tmp_path / "lab", trees__broken_off=BROKEN_OFF.replace("WAY", way))
+    recipe = RECIPE.replace("WORKFLOW", "broken_off").replace("mass: 50 mg, tolerance: 2 mg", "portion: 50 mg")
+    ran = dry_run(tmp_path, recipe, lab=lab, controller="adaptive")
+    had = ran.sample("a")
+    assert (had.verdict, had.code, had.is_good) == ("no dose", code, False)
+    told = re.fullmatch(
+        f"{detail} broke off, and was not weighed; by the balance's last reading it had brought (.+) mg",
+        str(had.detail),
+    )
+    assert told is not None
+    assert had.true_mg is not None
+    assert 10.0 < float(told[1]) <= had.true_mg < 50.0
     assert ran.result.exit_code == ExitCode.FLAGGED
 
 

@@ -7,6 +7,7 @@ when it runs is told then (`not as asked`, run/outcome.py).
 from collections.abc import Iterator, Sequence
 
 from scuhand_bt.problems import Mark, Problems
+from scuhand_bt.quantity import counted
 from scuhand_bt.recipe.pour import Pour
 from scuhand_bt.recipe.sample import Ask, Sample
 from scuhand_bt.tree.library import Library
@@ -19,7 +20,7 @@ def check_asked(samples: Sequence[Sample], library: Library, problems: Problems)
         for mark, what, fix in _wrong(sample, library):
             found.setdefault((mark, fix), {}).setdefault(sample.id, what)
     for (mark, fix), said in found.items():
-        more = f" (and {len(said) - 1} more samples like it)" if len(said) > 1 else ""
+        more = f" (and {counted(len(said) - 1, 'more sample')} like it)" if len(said) > 1 else ""
         problems.add(mark, next(iter(said.values())) + more, fix, code="not-asked")
 
 

@@ -54,13 +54,15 @@ class SampleResults:
         true_mg = {}
         if self._true_mass_mg is not None and was_run:
             true_mg = {container.id: self._true_mass_mg(container.id) for container in containers}
-        believed = self._cell.believed.dosing
+        believed = self._cell.believed
+        if believed.dosing.is_unweighed and was_run and verdict != "interrupted":
+            failure = _broke_off(failure, believed.seen_mg)
         return sample_result(
             sample,
             so_far,
             verdict,
             failure,
-            scoops=believed.scoops if was_run else 0,
+            scoops=believed.dosing.scoops if was_run else 0,
             duration_s=self._cell.clock.now_s - began_s if was_run else 0.0,
             true_mg=true_mg,
             attempt=attempt,
@@ -112,3 +114,12 @@ class SampleResults:
         """A sample has this result from now on, which is in the journal already."""
         self.by_id[result.id] = result
         self._undoubted.append(result.id)
+
+
+def _broke_off(failure: SkillFailed | None, seen_mg: float) -> SkillFailed:
+    """The failure of a sample of which a dose broke off: no row tells what that has brought, and it is not good."""
+    seen = f"; by the balance's last reading it had brought {seen_mg:.0f} mg" if seen_mg > 0.0 else ""
+    what = f"a dose broke off, and was not weighed{seen}"
+    if failure is None:
+        return SkillFailed(Code.DOSE_NOT_REACHED, what)
+    return SkillFailed(failure.code, f"{failure.detail}; {what}")
