@@ -15,16 +15,15 @@ from scuhand_bt.cell.weighing import (
     SCOOP_DOUBT,
     STOOD_STILL,
     note_moved,
-    possible_mg,
     require_unchanged,
     stands_still,
+    weigh_broken_off,
     weigh_until_still,
     weighing_of,
 )
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DEFAULT_CONTROLLER, DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import (
-    AGREEMENT,
     Gross,
     Reference,
     dose_between,
@@ -48,7 +47,6 @@ from scuhand_bt.skill import (
     DoseBegun,
     DoseWeighed,
     Milligrams,
-    Reweighed,
     Skill,
     SkillFailed,
     Source,
@@ -255,28 +253,14 @@ class Dispense(Skill[Dose]):
 
         SkillFailed container.changed where more has come, or less, than can have.
         """
-        believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
         require_unchanged(cell)
-        bracket = believed.bracket
-        if believed.pan is None or bracket is None:
+        container = cell.believed.pan
+        if container is None or cell.believed.bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
-        place, _ = over_balance(cell.spec, believed.pan)
+        place, _ = over_balance(cell.spec, container)
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)
-        if not believed.dosing.is_unweighed:
-            return
-        mean = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
-        now = weighing_of(mean)
-        gained, _ = dose_between(((bracket.last, bracket.last), (now, now)), digit_mg)
-        cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))
-        least_mg, most_mg = possible_mg(cell, AGREEMENT * gained.uncertainty_mg)
-        if not least_mg <= gained.mass_mg <= most_mg:
-            raise SkillFailed(
-                Code.CONTAINER_CHANGED,
-                f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg, "
-                f"and {least_mg:.1f} to {most_mg:.1f} mg can have come",
-            )
-        believed.reweighed(gained, now, self._source(cell).sheet_key)
+        yield from weigh_broken_off(cell, at_most=True)
 
     def request(self, cell: Cell) -> DoseRequest:
         """What its controller is asked for, by what is known of powder, balance and hand now."""

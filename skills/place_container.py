@@ -23,7 +23,7 @@ from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, S
 class PlaceContainer(Skill[None]):
     """Put a container on the pan, taking away the one before, and check by weight that it is the right one."""
 
-    raises = (Code.CONTAINER_MISSING, Code.CONTAINER_WRONG_MASS, Code.OPERATOR_REFUSED)
+    raises = (Code.CONTAINER_CHANGED, Code.CONTAINER_MISSING, Code.CONTAINER_WRONG_MASS, Code.OPERATOR_REFUSED)
     devices = ("changer", "balance")
     zones = ("pan",)
     typical_s = 16.0
@@ -42,6 +42,7 @@ class PlaceContainer(Skill[None]):
 
     def _change(self, cell: Cell) -> Steps[None]:
         believed, exchanging = cell.believed, self._exchanged(cell)
+        held_mg = self._held_mg(cell)
         is_by_hand = cell.changer.needs_person or self._is_used_up(cell)
         bare = yield from cell.right_of_way.undisturbed(exchanging) if is_by_hand else exchanging
         brought_s = cell.clock.now_s
@@ -66,11 +67,12 @@ class PlaceContainer(Skill[None]):
             raise SkillFailed(
                 Code.CONTAINER_MISSING, f"the pan gained {mass_mg / 1000:.3f} g; no {container.name} stands on it"
             )
-        if abs(mass_mg - container.empty_mass_mg) > container.empty_mass_tolerance_mg:
+        if abs(mass_mg - held_mg - container.empty_mass_mg) > container.empty_mass_tolerance_mg:
+            holding = f", and has got {held_mg / 1000:.3f} g before" if held_mg > 0.0 else ""
             raise SkillFailed(
                 Code.CONTAINER_WRONG_MASS,
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
-                f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
+                f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g{holding}",
             )
         if is_to_be_weighed_again(cell):
             first = bare, loaded
@@ -81,6 +83,15 @@ class PlaceContainer(Skill[None]):
         if step is not None:
             require_known_delay(cell, step)
         believed.placed(weighing_of(bare), weighing_of(loaded))
+
+    def _held_mg(self, cell: Cell) -> float:
+        """What it got when it was on the pan before. SkillFailed container.changed where nobody knows."""
+        before = cell.believed.had_gone(self.container.id)
+        if before is None:
+            return 0.0
+        if not before.doses:
+            raise SkillFailed(Code.CONTAINER_CHANGED, f"'{self.container.id}' was on the pan before: {before.detail}")
+        return sum(net.mass_mg for net in before.doses.values())
 
     def _exchanged(self, cell: Cell) -> Steps[StableMean]:
         """The container on the pan; what the pan weighed bare before it came."""

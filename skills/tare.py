@@ -1,6 +1,6 @@
 """The software tare: the stable gross before the first powder."""
 
-from scuhand_bt.cell.weighing import require_unchanged, weigh_until_still, weighing_of
+from scuhand_bt.cell.weighing import require_unchanged, weigh_broken_off, weigh_until_still, weighing_of
 from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, Tared
 
 STILL_DIGITS = 2.0
@@ -8,18 +8,23 @@ STILL_DIGITS = 2.0
 
 
 class Tare(Skill[Milligrams]):
-    """Weigh the container on the pan before its first powder; no tare command is sent to the balance."""
+    """Weigh the container on the pan before its first powder; no tare command is sent to the balance.
 
-    raises = (Code.CONTAINER_MISSING,)
+    What is in it already, also of a dose that broke off, is of its doses still.
+    """
+
+    raises = (Code.CONTAINER_CHANGED, Code.CONTAINER_MISSING)
     devices = ("balance",)
     typical_s = 1.0
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
         require_unchanged(cell)
-        bracket = cell.believed.bracket
-        if cell.believed.weighed_container is None or bracket is None:
+        if cell.believed.weighed_container is None or cell.believed.bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `tare`")
+        yield from weigh_broken_off(cell)
+        bracket = cell.believed.bracket
+        assert bracket is not None
         allowed_mg = STILL_DIGITS * cell.spec.balance.readability_mg
         _, mean = yield from weigh_until_still(cell, bracket.last, allowed_mg)
         cell.believed.tared(weighing_of(mean))

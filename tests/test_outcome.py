@@ -368,14 +368,105 @@ def test_a_container_that_a_dose_broke_off_in_is_told_to_hold_powder_and_is_neve
     ran = dry_run(tmp_path, recipe, lab=lab, controller="adaptive")
     had = ran.sample("a")
     assert (had.verdict, had.code, had.is_good) == ("no dose", code, False)
+    seen = "was not weighed; by the balance's last reading it had brought (.+) mg"
     told = re.fullmatch(
-        f"{detail} broke off, and was not weighed; by the balance's last reading it had brought (.+) mg",
-        str(had.detail),
+        f"{detail} broke off, and {seen}; 'a' holds (.+) mg of glass_beads by a dose that broke off", str(had.detail)
     )
     assert told is not None
     assert had.true_mg is not None
     assert 10.0 < float(told[1]) <= had.true_mg < 50.0
+    assert float(told[2]) == pytest.approx(ran.session.world.masses_mg["container:a"], abs=0.5)
     assert ran.result.exit_code == ExitCode.FLAGGED
+
+
+BROKE_OFF_BEFORE = """
+workflow: again
+inputs: {source: Source, container: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - scoop: {source: $source, wanted: $mass}
+    - move_over: {container: $container}
+    - optional: {child: {timeout: {duration: 6 s, child: {dispense: {mass: $mass, tolerance: $tolerance}}}}}
+    - park:
+    - AGAIN
+    - tare:
+    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}
+    - return_leftover: {source: $source}
+    - park:
+"""
+
+
+@pytest.mark.parametrize("again", ["wait: {duration: 1 s}", "place_container: {container: $container}"])
+def test_what_a_dose_that_broke_off_has_brought_counts_after_a_tare_and_when_its_container_comes_again(
+    tmp_path: Path, again: str
+) -> None:
+    """It was tared away, and the container told good with twice its mass."""
+    lab = make_lab(tmp_path / "lab", trees__again=BROKE_OFF_BEFORE.replace("AGAIN", again))
+    ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "again"), lab=lab, controller="adaptive")
+    had = ran.sample("a")
+    assert (had.is_good, had.verdict) == (True, "in tolerance")
+    assert had.true_mg == pytest.approx(50.0, abs=2.0)
+    assert had.dispensed_mg == pytest.approx(had.true_mg, abs=0.5)
+
+
+TWO_VISITS = """
+workflow: two_visits
+inputs: {source: Source, other: Source, container: Container, second: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - FIRST
+    - park:
+    - place_container: {container: $second}
+    - tare:
+    - fill: {source: $source, container: $second, mass: $mass, tolerance: $tolerance}
+    - return_leftover: {source: $source}
+    - swap_sheet:
+    - park:
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $other, container: $container, mass: $mass, tolerance: $tolerance}
+    - return_leftover: {source: $other}
+    - park:
+"""
+WHOLE = "fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}"
+BROKEN = """sequence:
+        - scoop: {source: $source, wanted: $mass}
+        - move_over: {container: $container}
+        - optional: {child: {timeout: {duration: 6 s, child: {dispense: {mass: $mass, tolerance: $tolerance}}}}}"""
+
+
+@pytest.mark.parametrize(
+    ("first", "lots"), [(WHOLE, ["glass_beads", "monosodium_glutamate"]), (BROKEN, ["monosodium_glutamate"])]
+)
+def test_a_container_that_comes_again_for_another_powder_holds_both(
+    tmp_path: Path, first: str, lots: list[str]
+) -> None:
+    """Of a dose that broke off in it no row tells: what it has brought was counted as the other powder."""
+    lab = make_lab(tmp_path / "lab", trees__two_visits=TWO_VISITS.replace("FIRST", first))
+    recipe = RECIPE.replace("WORKFLOW", "two_visits").replace(
+        "source: beads, container: xrd_holder", "source: beads, other: msg, container: xrd_holder, second: xrd_holder"
+    )
+    ran = dry_run(tmp_path, recipe, lab=lab, controller="adaptive")
+    had, world_mg = ran.sample("a"), ran.session.world.masses_mg
+    its = {dose.lot: dose for dose in had.doses if dose.container == "a/container"}
+    assert list(its) == lots
+    assert {dose.bracket for dose in had.doses} == {"closed"}
+    assert its["monosodium_glutamate"].dispensed_mg == pytest.approx(50.0, abs=2.0)
+    if first is WHOLE:
+        assert had.is_good
+        assert sum(dose.dispensed_mg for dose in its.values()) == pytest.approx(
+            world_mg["container:a/container"], abs=0.6
+        )
+        return
+    assert (had.verdict, had.code, had.is_good) == ("in tolerance", "dose.not_reached", False)
+    told = re.fullmatch("'a/container' holds (.+) mg of glass_beads by a dose that broke off", str(had.detail))
+    assert told is not None
+    held_mg = world_mg["container:a/container"] - its["monosodium_glutamate"].dispensed_mg
+    assert float(told[1]) == pytest.approx(held_mg, abs=0.6)
 
 
 def test_a_sample_whose_container_still_stands_on_the_pan_at_the_end_is_flagged(tmp_path: Path) -> None:

@@ -69,6 +69,8 @@ class Believed(BelievedPowder):
     """The weighings about the container that stands on the pan, or stood there until the bare pan is weighed again."""
     closed: tuple[ClosedBracket, ...] = ()
     """What containers that have gone came to; until the batch has noted it."""
+    gone: tuple[ClosedBracket, ...] = ()
+    """What containers came to that have gone in this job, each once: they may be put on the pan again."""
     has_closed: bool = False
     """A container of this run has gone, and its bracket was closed, whatever came out."""
     is_zero_doubted: bool = False
@@ -100,7 +102,8 @@ class Believed(BelievedPowder):
 
     def removed(self) -> None:
         """Nothing stands on the pan."""
-        self._set(pan=None, pan_empty_mg=None, pan_gross_mg=None)
+        so_far = replace(self.dosing, target_mg=None, is_unweighed=False)
+        self._set(pan=None, pan_empty_mg=None, pan_gross_mg=None, dosing=so_far)
 
     def brought(self, container: Container, *, from_changer: bool, first_slot: int | None = None) -> None:
         """A container was put on the pan, and is not weighed yet.
@@ -122,10 +125,16 @@ class Believed(BelievedPowder):
         )
 
     def placed(self, bare: Gross, loaded: Gross) -> None:
-        """The container on the pan has the weight that its kind has. ValueError without one."""
+        """The container on the pan weighs what its kind does, and what it held before. ValueError without one."""
         if self.pan is None:
             raise ValueError("no container stands on the pan")
-        self._set(pan_gross_mg=loaded.gross_mg, bracket=Bracket(self.pan.id, bare, loaded, loaded), given_up="")
+        before = self.had_gone(self.pan.id)
+        bracket = Bracket(self.pan.id, bare, loaded, loaded, carried=before.doses if before else MappingProxyType({}))
+        self._set(pan_gross_mg=loaded.gross_mg, bracket=bracket, given_up="")
+
+    def had_gone(self, container: str) -> ClosedBracket | None:
+        """What a container came to that was on the pan before in this job, and got powder there."""
+        return next((one for one in self.gone if one.container == container), None)
 
     def rebracketed(self, bare: Gross, loaded: Gross, empty: Net, held: Net, left_cone_mg: float) -> None:
         """After an outage the same container was weighed by the bare pan, and holds so much; all weighings begin anew.
@@ -159,6 +168,7 @@ class Believed(BelievedPowder):
             pan_gross_mg=None,
             given_up=why,
             closed=(*self.closed, *lost),
+            gone=self._gone_with(*lost),
             dosing=replace(self.dosing, target_mg=None, is_unweighed=False),
         )
 
@@ -178,7 +188,13 @@ class Believed(BelievedPowder):
         if closed.closes and self.is_zero_doubted:
             why = "the balance's zero has stepped of late, or the bracket before did not close"
             told = replace(closed, closes=False, detail=f"{why}; {closed.detail}")
-        self._set(bracket=None, closed=(*self.closed, told), has_closed=True, is_zero_doubted=not closed.closes)
+        self._set(
+            bracket=None,
+            closed=(*self.closed, told),
+            gone=self._gone_with(told),
+            has_closed=True,
+            is_zero_doubted=not closed.closes,
+        )
 
     def noted(self, closed: ClosedBracket) -> None:
         """The batch has noted what a container came to."""
@@ -210,8 +226,8 @@ class Believed(BelievedPowder):
         self._set(dosing=replace(self.dosing, in_vain=self.dosing.in_vain + 1 if lacked_mg < BARREN_MG else 0))
 
     def dose_began(self, now_s: float) -> None:
-        """What is counted for a dose begins anew."""
-        self._set(dosing=DoseSoFar(began_s=now_s))
+        """A job begins: what is counted for a dose begins anew, and no container comes again."""
+        self._set(dosing=DoseSoFar(began_s=now_s, is_unweighed=self.dosing.is_unweighed), gone=())
 
     def tared(self, weighing: Gross) -> None:
         """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
@@ -261,15 +277,17 @@ class Believed(BelievedPowder):
             ),
         )
 
-    def reweighed(self, gained: Net, now: Gross, lot: str) -> None:
-        """The container was weighed after a dose of a lot broke off: what it has gained since has left the cone.
+    def reweighed(self, gained: Net, now: Gross) -> None:
+        """The container was weighed after a dose broke off: what it has gained since is of its lot, and has left the
+        cone, if that still has this lot in it.
 
         ValueError without an earlier gross.
         """
         if self.pan_gross_mg is None:
             raise ValueError("no container on the pan was weighed before")
-        bracket = replace(self._open_bracket, lot=lot)
-        self._left_cone(now.gross_mg - self.pan_gross_mg)
+        bracket = self._open_bracket
+        if self.sheet == bracket.lot:
+            self._left_cone(now.gross_mg - self.pan_gross_mg)
         self._weighed(now.gross_mg)
         self._set(bracket=bracket.found(gained, now))
         self._set(dosing=replace(self.dosing, is_unweighed=False))
@@ -283,6 +301,10 @@ class Believed(BelievedPowder):
             self._set(bracket=bracket.with_zero_moved(drift_mg, now))
 
     # --- within
+
+    def _gone_with(self, *closed: ClosedBracket) -> tuple[ClosedBracket, ...]:
+        names = {one.container for one in closed}
+        return (*(one for one in self.gone if one.container not in names), *closed)
 
     @property
     def _open_bracket(self) -> Bracket:

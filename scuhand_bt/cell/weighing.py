@@ -11,6 +11,7 @@ from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.clock import Steps, Wake, pause
 from scuhand_bt.devices.interfaces import Hands, Reading, StableMean
 from scuhand_bt.dosing.bracket import (
+    AGREEMENT,
     SURELY,
     Closed,
     Gross,
@@ -18,6 +19,7 @@ from scuhand_bt.dosing.bracket import (
     apart_mg,
     close,
     differ_mg,
+    dose_between,
     moved_mg,
     standing,
     total,
@@ -33,6 +35,7 @@ from scuhand_bt.events.weighings import (
     ContainerAgain,
     ContainerLifted,
     LotDosed,
+    Reweighed,
 )
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Container
@@ -293,6 +296,29 @@ def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
     return -chance_mg, believed.seen_mg + believed.cone_mg + doubt_mg + chance_mg
 
 
+def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
+    """Weigh what a dose has brought that broke off; nothing to do where none did, or that was weighed since.
+
+    `at_most`: the cone is as the dose left it. Then SkillFailed container.changed where more has come, or less, than
+    can have.
+    """
+    believed, bracket = cell.believed, cell.believed.bracket
+    if bracket is None or not believed.dosing.is_unweighed:
+        return
+    mean = yield from cell.right_of_way.stable_mean()
+    now = weighing_of(mean)
+    gained, _ = dose_between(((bracket.last, bracket.last), (now, now)), cell.spec.balance.readability_mg)
+    cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))
+    least_mg, most_mg = possible_mg(cell, AGREEMENT * gained.uncertainty_mg)
+    if at_most and not least_mg <= gained.mass_mg <= most_mg:
+        raise SkillFailed(
+            Code.CONTAINER_CHANGED,
+            f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg, "
+            f"and {least_mg:.1f} to {most_mg:.1f} mg can have come",
+        )
+    believed.reweighed(gained, now)
+
+
 def take_container_away(cell: Cell, to: Container | None = None) -> Steps[StableMean]:
     """Clear the pan, for the container that comes next, and weigh it bare: that closes the bracket about what was
     dosed into the one before.
@@ -309,7 +335,9 @@ def take_container_away(cell: Cell, to: Container | None = None) -> Steps[Stable
 
 def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
     believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
-    bracket, lifted, stood_still = believed.bracket, None, False
+    lifted, stood_still = None, False
+    yield from weigh_broken_off(cell)
+    bracket = believed.bracket
     if bracket is not None and bracket.holds and bracket.lifted is None:
         lifted = yield from cell.right_of_way.stable_mean()
         stood_still = stands_still(cell)

@@ -115,6 +115,8 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     """The result after one of its containers has gone: adjusted to the bare pan's word, and flagged if that differs."""
     doses = tuple(confirmed_dose(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
     changes: dict[str, Any] = {"doses": doses}
+    told = {dose.lot for dose in doses if dose.container == closed.container}
+    others = [f"{net.mass_mg:.1f} mg of {lot}" for lot, net in closed.doses.items() if lot not in told]
     main = _main(result, doses)
     if main is not None and result.target_mg is not None:
         changes |= {
@@ -129,6 +131,13 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
         changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": closed.detail}
     elif result.code == Code.BALANCE_BRACKET_OPEN and all(dose.bracket == "closed" for dose in doses):
         changes |= {"code": None, "detail": None}
+    if others:
+        what = f"'{closed.container}' holds {' and '.join(others)} by a dose that broke off"
+        code, detail = (changes.get(name, getattr(result, name)) for name in ("code", "detail"))
+        if code is None:
+            changes |= {"code": Code.DOSE_NOT_REACHED, "detail": what}
+        elif what not in str(detail):
+            changes |= {"detail": f"{detail}; {what}"}
     return _reckoned(result.model_copy(update=changes))
 
 
@@ -205,7 +214,12 @@ def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResul
 
 
 def confirmed_dose(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
-    """A dose after its container has gone: adjusted to the bare pan's word, where the two agree."""
+    """A dose after its container has gone: adjusted to the bare pan's word, where the two agree.
+
+    A container that has gone more than once has to be believed each time; before one of its lots came it tells nothing.
+    """
+    if dose.bracket == "does not close" or (closed.doses and dose.lot not in closed.doses):
+        return dose
     if not closed.closes or abs(closed.difference_mg) > CLOSING_SHARE * dose.tolerance_mg:
         return dose.model_copy(update={"bracket": "does not close"})
     net = closed.doses[dose.lot]

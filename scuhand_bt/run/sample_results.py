@@ -75,13 +75,21 @@ class SampleResults:
         dosed into a container by another job than its sample's is no sample's dose.
         """
         believed = self._cell.believed
+        last_word = {closed.container: closed for closed in believed.closed}
+        on_pan = believed.bracket.container if believed.bracket is not None else None
         noted: dict[str, SampleResult] = {}
         for closed in believed.closed:
-            owner = self._owners.get(closed.container.partition("#")[0])
+            name, _, number = closed.container.partition("#")
+            owner, attempt = self._owners.get(name), int(number or 1)
             result = self.by_id.get(owner) if owner is not None else None
-            if result is not None and any(dose.container == closed.container for dose in result.doses):
-                noted.setdefault(result.id, result)
-                self.by_id[result.id] = confirmed(result, closed)
+            if closed.closes and (closed.container == on_pan or last_word[closed.container] is not closed):
+                believed.noted(closed)  # it has come again, and what it holds is told when it goes
+                continue
+            goes_on = owner == waiting and result is not None and result.verdict == "interrupted"
+            if result is not None and result.attempt == attempt and not goes_on:
+                if closed.doses or any(dose.container == closed.container for dose in result.doses):
+                    noted.setdefault(result.id, result)
+                    self.by_id[result.id] = confirmed(result, closed)
             elif owner is not None and (owner == waiting or result is None):
                 continue
             believed.noted(closed)
