@@ -273,6 +273,15 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "empty": None,
         },
         "closed": [],
+        "gone": [
+            {
+                "container": "before",
+                "doses": {"glass_beads/L7": {"mass_mg": 50.0, "uncertainty_mg": 0.1}},
+                "closes": True,
+                "difference_mg": 0.0,
+                "detail": "it closes",
+            }
+        ],
         "is_zero_doubted": False,
         "given_up": "",
         "zero_stepped_mg": 0.0,
@@ -675,6 +684,40 @@ def test_a_container_that_was_not_weighed_has_no_dose() -> None:
             verb()
     with pytest.raises(ValueError, match="no container stands"):
         Believed().placed(weighed(0.0), weighed(20_000.0))
+
+
+def test_what_a_dose_that_broke_off_has_brought_is_of_its_lot_and_left_no_other_powder_in_the_cone() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.dosing_ended(25.0, 20_035.5)
+    believed.dose_began(9.0)
+    assert believed.dosing.is_unweighed, "the next job does not forget it"
+    believed.sheet_swapped()
+    believed.scooped(SALT, 80.0)
+    believed.reweighed(Net(30.0, 0.2), weighed(20_040.5, 20.0))
+    assert believed.bracket is not None
+    assert (believed.bracket.holds, believed.cone_mg) == ({BEADS.sheet_key: Net(30.0, 0.2)}, 80.0)
+
+
+def test_a_container_that_comes_again_holds_what_it_got_but_in_another_job() -> None:
+    believed = on_the_pan()
+    believed.removed()
+    believed.bracket_closed(gone())
+    believed.brought(DISH, from_changer=True)
+    believed.placed(weighed(10.0, 1.0), weighed(20_060.0, 3.0))
+    assert believed.bracket is not None
+    assert believed.bracket.holds == {"glass_beads/L7": Net(50.0, 0.1)}
+    believed.dose_began(9.0)
+    assert believed.had_gone(DISH.id) is None
+
+
+def test_a_container_that_was_changed_on_the_pan_is_known_to_hold_something() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.container_given_up("it is another one")
+    before = believed.had_gone(DISH.id)
+    assert before is not None
+    assert (dict(before.doses), before.detail) == ({}, "it is another one")
 
 
 def test_what_arrived_since_the_valve_opened_has_left_the_cone_and_is_in_the_container() -> None:
