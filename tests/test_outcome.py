@@ -212,6 +212,12 @@ def test_a_second_container_that_closes_does_not_take_back_what_the_first_has_sh
     assert (after.code, after.is_good) == ("balance.bracket_open", False)
 
 
+def test_a_container_that_has_gone_twice_has_to_close_both_times() -> None:
+    after = confirmed(result(dose(50.0)), gone(closes=False, glass_beads=40.0))
+    after = confirmed(after, gone(glass_beads=50.0))
+    assert (after.code, after.doses[0].bracket, after.is_good) == ("balance.bracket_open", "does not close", False)
+
+
 def test_a_sample_flagged_while_its_bracket_was_open_is_good_when_it_has_closed() -> None:
     had = result(dose(50.0)).model_copy(update={"code": "balance.bracket_open", "detail": "it was not taken off"})
     after = confirmed(had, gone(glass_beads=50.1))
@@ -388,7 +394,7 @@ tree:
     - tare:
     - scoop: {source: $source, wanted: $mass}
     - move_over: {container: $container}
-    - optional: {child: {timeout: {duration: 6 s, child: {dispense: {mass: $mass, tolerance: $tolerance}}}}}
+    - optional: {child: {timeout: {duration: 5 s, child: {dispense: {mass: $mass, tolerance: $tolerance}}}}}
     - park:
     - AGAIN
     - tare:
@@ -407,6 +413,9 @@ def test_what_a_dose_that_broke_off_has_brought_counts_after_a_tare_and_when_its
     ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "again"), lab=lab, controller="adaptive")
     had = ran.sample("a")
     assert (had.is_good, had.verdict) == (True, "in tolerance")
+    assert {one.verdict for one in ran.watching.results} == {"in tolerance"}, (
+        "never by what it was before the last dose"
+    )
     assert had.true_mg == pytest.approx(50.0, abs=2.0)
     assert had.dispensed_mg == pytest.approx(had.true_mg, abs=0.5)
 

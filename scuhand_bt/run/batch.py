@@ -278,7 +278,7 @@ class Batch:
             except BaseException as error:
                 journal.job_ended(JobEnded(outcome="broken", detail=f"{type(error).__name__}: {error}"))
                 raise
-            self._note_outcome(sample_id, outcome)
+            self._note_outcome(sample_id, attempt, outcome)
             if outcome.interrupted != "paused":
                 return outcome
             self._runner.make_safe()
@@ -292,7 +292,7 @@ class Batch:
             journal.job_resumed(again.seq, again.so_far)
             replay = again.replay(history.state.get("joints_rad"))
 
-    def _note_outcome(self, sample_id: str | None, outcome: Outcome) -> None:
+    def _note_outcome(self, sample_id: str | None, attempt: int, outcome: Outcome) -> None:
         failure = outcome.failure
         if outcome.interrupted is not None:
             word = "interrupted"
@@ -303,7 +303,7 @@ class Batch:
             word = STOPPED if stops else "failed"
         code, detail = (failure.code, failure.detail) if failure is not None else (None, None)
         self._journal.job_ended(JobEnded(outcome=word, code=code, detail=detail))
-        self._results.note_brackets(sample_id)
+        self._results.note_brackets(None if sample_id is None else (sample_id, attempt))
         self._after_job()
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.results import SampleResult, SampleVerdict, SoFar
 from scuhand_bt.journal.writer import Journal
@@ -68,11 +69,11 @@ class SampleResults:
             attempt=attempt,
         )
 
-    def note_brackets(self, waiting: str | None = None) -> None:
+    def note_brackets(self, waiting: tuple[str, int] | None = None) -> None:
         """Say of each sample whose container has gone what it came to by the bare pan, and of all what that tells.
 
-        One that has gone within the job of its own sample, which is still `waiting` for its result, waits too. What was
-        dosed into a container by another job than its sample's is no sample's dose.
+        One that has gone within the attempt at its own sample that is `waiting` for its result still waits too. What
+        was dosed into a container by another job than its sample's is no sample's dose.
         """
         believed = self._cell.believed
         last_word = {closed.container: closed for closed in believed.closed}
@@ -85,13 +86,11 @@ class SampleResults:
             if closed.closes and (closed.container == on_pan or last_word[closed.container] is not closed):
                 believed.noted(closed)  # it has come again, and what it holds is told when it goes
                 continue
-            goes_on = owner == waiting and result is not None and result.verdict == "interrupted"
-            if result is not None and result.attempt == attempt and not goes_on:
-                if closed.doses or any(dose.container == closed.container for dose in result.doses):
-                    noted.setdefault(result.id, result)
-                    self.by_id[result.id] = confirmed(result, closed)
-            elif owner is not None and (owner == waiting or result is None):
+            if owner is not None and ((owner, attempt) == waiting or result is None):
                 continue
+            if result is not None and result.attempt == attempt and _tells_of(closed, result):
+                noted.setdefault(result.id, result)
+                self.by_id[result.id] = confirmed(result, closed)
             believed.noted(closed)
         seen = believed.zero_stepped_mg, believed.drift_mg_per_s
         # Not all each time: a run of many samples comes here after each.
@@ -131,3 +130,8 @@ def _broke_off(failure: SkillFailed | None, seen_mg: float) -> SkillFailed:
     if failure is None:
         return SkillFailed(Code.DOSE_NOT_REACHED, what)
     return SkillFailed(failure.code, f"{failure.detail}; {what}")
+
+
+def _tells_of(closed: ClosedBracket, result: SampleResult) -> bool:
+    """Whether something came into the container, whether a dose of its sample tells of it or not."""
+    return bool(closed.doses) or any(dose.container == closed.container for dose in result.doses)
