@@ -238,7 +238,7 @@ def run_dose(
                 if is_watched:  # a mean may be stable and still creep, or swing back, which would pass for a drift
                     note(0.0, 0.0)
                     since = [(point.time_s, point.net_mg) for point in curve if point.time_s > unwatched_since_s]
-                    rests_s = _rests_s(request.balance, since, balance.spec.readability_mg)
+                    rests_s = _rests_s(request.balance, since, clock.now_s, balance.spec.readability_mg)
                     yield from pause(clock, rests_s - clock.now_s)
                 mean = yield from balance.stable_mean(balance.spec.settles_s)
                 seen = weighed(mean)
@@ -271,17 +271,19 @@ def run_dose(
     return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
 
 
-def _rests_s(balance: BalanceBelief, shown: Curve, readability_mg: float) -> float:
-    """When the balance has shown all that has come, the valve being shut, by what it has shown until now [s].
+def _rests_s(balance: BalanceBelief, shown: Curve, now_s: float, readability_mg: float) -> float:
+    """When a balance, by what it has shown until now, has shown all of the powder, the valve being shut [s].
 
-    What it shows more than at any time before it has shown as late as if it all had come then. A filter that adapts
-    takes its time over the last of it: `SETTLED` times the delay of its slow face, from now on.
+    What it shows more, or less, than at a time before it shows at the latest as if all of that had come then; and what
+    is in its dead time has yet to be seen. A filter that adapts takes its time over the last: `SETTLED` times the delay
+    of its slow face.
     """
-    times_s, readings_mg = np.array(shown).T
+    delay_s = 2.0 * balance.lag_s
     if balance.adapts:
-        return float(times_s[-1]) + SETTLED * 2.0 * balance.lag_s * math.exp(balance.doubt)
-    late_mg = np.abs(readings_mg[-1] - readings_mg)
-    return float(np.max(times_s + shows_s(balance, late_mg, SHOWN_DIGITS * readability_mg)))
+        return now_s + SETTLED * delay_s * math.exp(balance.doubt)
+    times_s, readings_mg = np.reshape(shown, (-1, 2)).T
+    late_s = shows_s(balance, np.abs(readings_mg - readings_mg[-1:]), SHOWN_DIGITS * readability_mg)
+    return float(np.max(times_s + late_s, initial=now_s + delay_s))
 
 
 def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:
