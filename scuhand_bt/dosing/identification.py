@@ -95,10 +95,11 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float | Arra
 
 
 def shows_s(balance: BalanceBelief, masses_mg: Array, least_mg: float) -> Array:
-    """(N,) so long [s] after masses (N,) that came at once a balance has shown each of them, for good, to `least_mg`."""
+    """(N,) so long [s] after masses (N,) [mg], each of which came at once, all but `least_mg` is shown for good."""
     delay_s, (pure, damping) = 2.0 * balance.lag_s, SHAPES[balance.shape]
     after_s = delay_s * TAIL
-    still, _ = transitions(*(np.full_like(after_s, figure) for figure in (delay_s, pure, damping)), after_s)
+    delays_s, shares, dampings = (np.full_like(after_s, figure) for figure in (delay_s, pure, damping))
+    still, _ = transitions(delays_s, shares, dampings, after_s)
     most = np.maximum.accumulate(np.abs(still[::-1, READING, READING]))  # at any later time, from the last one back
     shown = np.searchsorted(most, least_mg / np.maximum(masses_mg, least_mg)) - 1
     return pure * delay_s + after_s[::-1][np.maximum(shown, 0)]
