@@ -211,6 +211,23 @@ def test_what_a_slow_filter_has_yet_to_show_of_the_powder_is_no_drift(believed: 
     assert now.time_s - before.time_s == pytest.approx(8.0)
 
 
+def test_what_a_filter_that_rings_swings_back_by_is_no_drift() -> None:
+    """By how much it has shown since the powder came it is known how long it rings: here more than a minute."""
+    loop = Loop([Stream(1.0), Stream(0.0), Weigh(31.0)], [0.0, 100.0, 100.0])
+    loop.believed = BalanceBelief(lag_s=2.0, shape="ringing")
+    loop.pan.creep_mg = (100.0 * math.exp((BEGAN_S - loop.clock.now_s) / 8.0) for _ in itertools.count())
+    ((before, now),) = loop.run().watched
+    assert abs(now.gross_mg - before.gross_mg) < 0.05
+    assert before.time_s - BEGAN_S < 80.0
+
+
+def test_of_a_filter_that_has_long_shown_all_nothing_more_is_waited_for_than_its_delay() -> None:
+    loop = Loop([Stream(1.0), Stream(0.0), Weigh(31.0)], [0.0, 100.0, 100.0])
+    loop.believed = BalanceBelief(lag_s=1.0)
+    ((before, _),) = loop.run().watched
+    assert before.time_s - BEGAN_S == pytest.approx(0.2 + 31.0 + 2.0)
+
+
 def test_a_single_reading_is_as_uncertain_as_its_rounding() -> None:
     loop = streaming(5.0)
     loop.run()

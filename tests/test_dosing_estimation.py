@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lti, step
 from scipy.stats import norm
 
 from harness.random_physics import BalanceFigures, BalanceKind, DrawnBalance
@@ -21,6 +22,7 @@ from scuhand_bt.dosing.identification import (
     balance_by,
     balance_of,
     is_linear,
+    shows_s,
     transitions,
     with_found,
 )
@@ -430,3 +432,18 @@ def test_a_flow_that_may_walk_farther_while_it_is_not_seen_is_opened_for_less() 
         widest_mm(bank, shape, 18.0, 20.0, 0.26, 4.0, 2.4, reference, 0.3, 0.05) for reference in (5.0 * FLOW, FLOW)
     )
     assert held_up_mm < 0.9 * free_mm
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("mass_mg", [0.06, 3.0, 2000.0])
+def test_how_long_a_balance_takes_to_show_a_mass_is_when_its_step_response_leaves_so_little_for_good(
+    shape: str, mass_mg: float
+) -> None:
+    delay_s, least_mg = 1.6, 0.05
+    pure, damping = SHAPES[shape]
+    w = 2.0 * damping / ((1.0 - pure) * delay_s)
+    times_s = np.arange(0.0, 60.0, 0.01)
+    _, shown = step(lti([w * w], [1.0, 2.0 * damping * w, w * w]), T=times_s)
+    late_s = pure * delay_s + times_s[np.flatnonzero(mass_mg * np.abs(1.0 - shown) > least_mg)[-1]]
+    (shows,) = shows_s(BalanceBelief(lag_s=delay_s / 2.0, shape=shape), np.array([mass_mg]), least_mg)
+    assert late_s - 0.01 <= shows <= late_s + 0.11 * delay_s

@@ -10,9 +10,12 @@ from collections import deque
 from contextlib import closing
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from scuhand_bt.clock import Clock, Steps, pause
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, settled_from
+from scuhand_bt.dosing.characteristic import Curve
 from scuhand_bt.dosing.controller import (
     LONGEST_UNWEIGHED_S,
     Controller,
@@ -23,7 +26,7 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
-from scuhand_bt.dosing.identification import SETTLED
+from scuhand_bt.dosing.identification import SETTLED, shows_s
 from scuhand_bt.events.doses import CurveRow, Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
@@ -87,6 +90,8 @@ GAIN_MG, AVERAGED = 1.0, 10
 """A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
 WATCHES = 3
 """What chance would hardly make is watched on: to be known better, or until a filter has crept after the powder."""
+SHOWN_DIGITS = 0.5
+"""So much of the powder a balance may still have to show when it begins to be watched for a drift."""
 LONGEST_S = 1800.0
 """No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
 
@@ -230,8 +235,11 @@ def run_dose(
                 yield from pause(clock, command.wait_s)
                 unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
                 is_watched = clock.now_s - unwatched_since_s > unwatched_s
-                if is_watched:  # a mean may be stable and still creep by a digit, which would pass for a drift
-                    yield from pause(clock, _creeps_s(request.balance))
+                if is_watched:  # a mean may be stable and still creep, or swing back, which would pass for a drift
+                    note(0.0, 0.0)
+                    since = [(point.time_s, point.net_mg) for point in curve if point.time_s > unwatched_since_s]
+                    rests_s = _rests_s(request.balance, since, clock.now_s, balance.spec.readability_mg)
+                    yield from pause(clock, rests_s - clock.now_s)
                 mean = yield from balance.stable_mean(balance.spec.settles_s)
                 seen = weighed(mean)
                 level = 0.0
@@ -263,13 +271,19 @@ def run_dose(
     return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
 
 
-def _creeps_s(balance: BalanceBelief) -> float:
-    """So long the last of the powder may be shown late, though a mean is stable [s].
+def _rests_s(balance: BalanceBelief, shown: Curve, now_s: float, readability_mg: float) -> float:
+    """When a balance, by what it has shown until now, has shown all of the powder, the valve being shut [s].
 
-    A filter that adapts takes its time over it: `SETTLED` times the delay of its slow face.
+    What it shows more, or less, than at a time before it shows at the latest as if all of that had come then; and what
+    is in its dead time has yet to be seen. A filter that adapts takes its time over the last: `SETTLED` times the delay
+    of its slow face.
     """
     delay_s = 2.0 * balance.lag_s
-    return SETTLED * delay_s * math.exp(balance.doubt) if balance.adapts else delay_s
+    if balance.adapts:
+        return now_s + SETTLED * delay_s * math.exp(balance.doubt)
+    times_s, readings_mg = np.reshape(shown, (-1, 2)).T
+    late_s = shows_s(balance, np.abs(readings_mg - readings_mg[-1:]), SHOWN_DIGITS * readability_mg)
+    return float(np.max(times_s + late_s, initial=now_s + delay_s))
 
 
 def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:

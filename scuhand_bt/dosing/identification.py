@@ -52,6 +52,8 @@ LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
 """Delays that an opening may show, and a step is taken to have shown: no reading may miss any of it."""
 BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 """Powder may begin to come so long after the valve was told to open."""
+TAIL = np.arange(0.1, 30.0, 0.1)
+"""Times, in delays, that a tail is looked at; no shape takes longer to show 100 g to half of 0.1 mg."""
 INDEPENDENT = 10.0
 """Of the differences between readings and a model, as many are independent of each other."""
 MASS_ERROR_MG, SETTLED = 0.1, 3.0
@@ -90,6 +92,17 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float | Arra
     adds[:, RATE] = (1.0 - e00) / dt_s
     adds[:, MASS] = 1.0
     return still, adds
+
+
+def shows_s(balance: BalanceBelief, masses_mg: Array, least_mg: float) -> Array:
+    """(N,) so long [s] after masses (N,) [mg], each of which came at once, all but `least_mg` is shown for good."""
+    delay_s, (pure, damping) = 2.0 * balance.lag_s, SHAPES[balance.shape]
+    after_s = delay_s * TAIL
+    delays_s, shares, dampings = (np.full_like(after_s, figure) for figure in (delay_s, pure, damping))
+    still, _ = transitions(delays_s, shares, dampings, after_s)
+    most = np.maximum.accumulate(np.abs(still[::-1, READING, READING]))  # at any later time, from the last one back
+    shown = np.searchsorted(most, least_mg / np.maximum(masses_mg, least_mg)) - 1
+    return pure * delay_s + after_s[::-1][np.maximum(shown, 0)]
 
 
 def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
