@@ -201,8 +201,8 @@ def _end_before_it_dips_mm(stroke: Stroke, path: StrokePath, bed: Bed) -> float 
     sheet is to be level by then.
     """
     lip_mm, apex_mm = path.lip_mm[path.on_wall], path.apex_mm[path.on_wall]
-    radius_mm, free_mm = bed.mortar.bowl_radius_mm, bed.mortar.depth_mm - bed.surface_mm
-    deepest_mm = bed.surface_mm - free_mm + max(NEAR_EDGE_MM, bed.powder.grain_mm)
+    radius_mm, level_mm = bed.mortar.bowl_radius_mm, Bed(bed.mortar, bed.mass_mg, bed.powder).surface_mm
+    deepest_mm = 2 * level_mm - bed.mortar.depth_mm + max(NEAR_EDGE_MM, bed.powder.grain_mm)
     is_uncut = np.hypot(apex_mm[:, 0], radius_mm - apex_mm[:, 2]) > radius_mm - stroke.gap_mm
     dips = is_uncut & (apex_mm[:, 2] < deepest_mm)
     if not dips.any():
@@ -315,7 +315,9 @@ def bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def _bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    above_mg = bed.above_bent_mg(_left_mm(stroke, bed.powder), (stroke.open_mm + stroke.closed_mm) / 2)
+    rim_mm = (stroke.open_mm + stroke.closed_mm) / 2
+    leans_deg = math.degrees(math.asin(rim_mm / 2 / sheet_radius_mm)) - _attack_deg(stroke, bed.mortar, sheet_radius_mm)
+    above_mg = bed.above_bent_mg(_left_mm(stroke, bed.powder), rim_mm, leans_deg)
     return (1.0 - _falls_back(stroke, bed, sheet_radius_mm)) * above_mg
 
 
