@@ -32,7 +32,8 @@ mortar. No stroke pushes so much that it would have to leave the wall before the
 
 Behind a lip that leaves a thick layer the sheet dips into the powder as it comes level, near the edge where the stroke
 has begun, and pushes up there what it displaces. So the lip leaves the wall before the apex is as deep in the bed as
-the bed's surface is below the edge; where the sheet is not level by then, the layer is thicker.
+the bed's surface is below the edge, both if it were level, as what strokes have hollowed out is room; where the sheet
+is not level by then, the layer is thicker.
 
 Of a gap of less than a grain, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a
 layer of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
@@ -197,8 +198,8 @@ def _within_edge(stroke: Stroke, path: StrokePath, bed: Bed, ladle: Ladle) -> St
 def _end_before_it_dips_mm(stroke: Stroke, path: StrokePath, bed: Bed) -> float | None:
     """Where the lip leaves the wall so that the sheet, behind it, pushes nothing over the edge; None for nowhere.
 
-    That is before the apex, where the lip has cut nothing, is as far below the bed as that is below the edge; and the
-    sheet is to be level by then.
+    That is before the apex, where the lip has cut nothing, is as far below the bed, if that were level, as that is below
+    the edge; and the sheet is to be level by then.
     """
     lip_mm, apex_mm = path.lip_mm[path.on_wall], path.apex_mm[path.on_wall]
     radius_mm, level_mm = bed.mortar.bowl_radius_mm, Bed(bed.mortar, bed.mass_mg, bed.powder).surface_mm
