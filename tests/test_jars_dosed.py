@@ -150,7 +150,7 @@ def test_a_jar_that_is_refilled_loses_no_dose(tmp_path: Path) -> None:
     [
         (
             jar(bore_mm=60.0),
-            "no way along the floor of a jar of 60 mm bore and 40 mm depth .*; a bore of 75 mm \\(if there is room for it\\)",
+            "no way along the floor of a jar of 60 mm bore .*; a bore of 75 mm \\(if there is room for it\\)",
         ),
         (jar(depth_mm=70.0), "flange and mortar_bay wall"),
         (jar(floor_mm=3.0), r"With 'mortar_bay' at \[200 mm, 240 mm, 20 mm\] it can scoop there"),

@@ -198,8 +198,8 @@ def _within_edge(stroke: Stroke, path: StrokePath, bed: Bed, ladle: Ladle) -> St
 def _end_before_it_dips_mm(stroke: Stroke, path: StrokePath, bed: Bed) -> float | None:
     """Where the lip leaves the wall so that the sheet, behind it, pushes nothing over the edge; None for nowhere.
 
-    That is before the apex, where the lip has cut nothing, is as far below the bed, if that were level, as that is below
-    the edge; and the sheet is to be level by then.
+    That is before the apex, where the lip has cut nothing, is as far below the bed, if that were level, as the bed is
+    below the edge; and the sheet is to be level by then.
     """
     lip_mm, apex_mm = path.lip_mm[path.on_wall], path.apex_mm[path.on_wall]
     radius_mm, level_mm = bed.mortar.bowl_radius_mm, Bed(bed.mortar, bed.mass_mg, bed.powder).surface_mm
