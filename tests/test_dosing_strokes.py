@@ -319,6 +319,22 @@ def test_in_a_mortar_that_is_nearly_full_the_sheet_pushes_nothing_over_the_edge(
     assert sunk < free_mm3 / 3 + in_cone_mg / powder.bulk_density_mg_per_mm3
 
 
+def test_a_bowl_that_was_nearly_full_goes_on_giving_loads_as_it_empties() -> None:
+    """What the strokes have hollowed out is room for what the sheet dips into: else loads of 4 g became 0.2 g."""
+    bowl = Mortar(name="bowl", bore_mm=102.7, depth_mm=31.7, height_mm=39.5, outer_diameter_mm=117.5)
+    like = {"repose_deg": 50.8, "wall_friction_deg": 29.0, "bulk_density_mg_per_mm3": 0.48, "load_limit_mg": 6300.0}
+    powder = BEADS.model_copy(update={**like, "grain_mm": 0.3})
+    field, layer, there_mg = HeightField(bowl, powder), None, 42_500.0
+    for heading_deg in (90.0, 270.0, 120.0, 240.0, 60.0, 300.0):
+        bed = Bed(bowl, there_mg, powder, layer)
+        stroke = replace(chosen(bed, LADLE, 5985.0), heading_deg=heading_deg)
+        came_mg, spilled_mg = through(stroke, field, there_mg, bowl)
+        assert 3000.0 < came_mg < 6300.0
+        assert spilled_mg < 10.0
+        layer = layer_left(stroke, bed, SHEET_MM)
+        there_mg -= came_mg + spilled_mg
+
+
 def unseen_loads_mg(mortar: Mortar, powder: Powder, fill: float, wanted_mg: float) -> list[tuple[float, float]]:
     """Of loads that are poured back but for 50 mg, and never weighed: what is expected, and what the field brings."""
     there_mg = fill * mortar.capacity_mm3 * powder.bulk_density_mg_per_mm3
@@ -419,7 +435,7 @@ def test_of_more_than_is_wanted_between_two_gaps_of_the_grid_a_part_is_taken() -
         bed = Bed(bowl, in_mortar_mg, powder, layer)
         stroke = chosen(bed, LADLE, 475.0)
         expected = expected_mg(stroke, bed, SHEET_MM)
-        assert LITTLE_SHARE * 475.0 <= expected <= 475.0
+        assert 0.9 * LITTLE_SHARE * 475.0 <= expected <= 475.0
         in_mortar_mg, layer = in_mortar_mg - expected, layer_left(stroke, bed, SHEET_MM)
 
 
@@ -536,6 +552,20 @@ def test_of_a_thin_bed_a_sheet_that_bends_brings_no_more_than_may_be_carried(
     stroke = chosen(Bed(mortar, fill_mg, powder), LADLE, 0.95 * powder.load_limit_mg)
     loads_mg, _ = through(stroke, HeightField(mortar, powder), fill_mg, mortar)
     assert 0.5 * powder.load_limit_mg < loads_mg < 1.15 * powder.load_limit_mg
+
+
+@pytest.mark.parametrize(("bore_mm", "depth_mm", "fill"), [(120.0, 30.0, 0.45), (130.0, 45.0, 0.3)])
+def test_of_a_wide_bowl_of_dense_powder_the_first_load_is_near_the_limit(
+    bore_mm: float, depth_mm: float, fill: float
+) -> None:
+    """A rim leans from the wall's upright, and so scrapes more of a flat bowl: 3.8 to 4.1 g came of 3.1."""
+    bowl = Mortar(name="bowl", bore_mm=bore_mm, depth_mm=depth_mm, height_mm=53.0, outer_diameter_mm=bore_mm + 8.0)
+    like = {"repose_deg": 48.0, "wall_friction_deg": 33.0, "bulk_density_mg_per_mm3": 2.4, "load_limit_mg": 3100.0}
+    powder = BEADS.model_copy(update=like)
+    fill_mg = fill * bowl.capacity_mm3 * 2.4
+    stroke = chosen(Bed(bowl, fill_mg, powder), LADLE, 0.95 * 3100.0)
+    came_mg, _ = through(stroke, HeightField(bowl, powder), fill_mg, bowl)
+    assert 0.7 * 3100.0 < came_mg < 1.18 * 3100.0
 
 
 def test_where_half_a_millimetre_is_more_than_the_load_limit_a_stroke_is_made_that_should_keep_it() -> None:

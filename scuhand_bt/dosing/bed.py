@@ -137,14 +137,15 @@ class Bed:
         above_mm = np.maximum(self._thick_mm - left_mm, 0.0)
         return self._mass_mg(above_mm - np.minimum(slip_mm, above_mm / 3))
 
-    def above_bent_mg(self, gap_mm: float, rim_mm: float) -> float:
+    def above_bent_mg(self, gap_mm: float, rim_mm: float, leans_deg: float) -> float:
         """What is farther from the wall than a rim that has bent down to it.
 
-        It is narrower than the bowl; of one that is more than half full it may be wider than what the lip follows.
+        Its plane leans from the wall's upright at the lip by `leans_deg`. It is narrower than the bowl; of one that is
+        more than half full it may be wider than what the lip follows.
         """
-        radius_mm = self.mortar.bowl_radius_mm
+        radius_mm, curved = self.mortar.bowl_radius_mm, 2 / rim_mm * math.cos(math.radians(leans_deg))
         followed_mm = max(radius_mm - gap_mm, rim_mm / 3)
-        narrower = 2 / rim_mm - 1 / followed_mm if self._is_full else max(0.0, 2 / rim_mm - 1 / radius_mm)
+        narrower = curved - 1 / followed_mm if self._is_full else max(0.0, curved - 1 / radius_mm)
         left_mm = np.maximum(0.0, max(0.0, gap_mm - BENDS_MM) + narrower * self._out_mm**2 / 4)
         return self._mass_mg(np.maximum(self._thick_mm - left_mm, 0.0))
 

@@ -305,7 +305,7 @@ def _no_way(mortar: Mortar, ladle: Ladle, bed_mm3: float) -> NoStrokeError:
     depths_mm = np.arange(mortar.depth_mm, corner_of(mortar) + SIZES_MM, -SIZES_MM) - SIZES_MM
     wider = first({"bore_mm": bore, "outer_diameter_mm": bore} for bore in bores_mm.tolist())
     lower = first({"depth_mm": depth} for depth in depths_mm.tolist())
-    wanted = [f"a bore of {wider['bore_mm']:g} mm"] if wider else []
+    wanted = [f"a bore of {wider['bore_mm']:g} mm (if there is room for it)"] if wider else []
     wanted += [f"a depth of {lower['depth_mm']:g} mm"] if lower else []
     return NoStrokeError(
         f"with a sheet of {ladle.slant_mm:g} mm the hand has no way along the floor of a jar of {mortar.bore_mm:g} mm "

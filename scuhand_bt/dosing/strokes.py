@@ -32,7 +32,8 @@ mortar. No stroke pushes so much that it would have to leave the wall before the
 
 Behind a lip that leaves a thick layer the sheet dips into the powder as it comes level, near the edge where the stroke
 has begun, and pushes up there what it displaces. So the lip leaves the wall before the apex is as deep in the bed as
-the bed's surface is below the edge; where the sheet is not level by then, the layer is thicker.
+the bed's surface is below the edge, both if it were level, as what strokes have hollowed out is room; where the sheet
+is not level by then, the layer is thicker.
 
 Of a gap of less than a grain, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a
 layer of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
@@ -197,12 +198,12 @@ def _within_edge(stroke: Stroke, path: StrokePath, bed: Bed, ladle: Ladle) -> St
 def _end_before_it_dips_mm(stroke: Stroke, path: StrokePath, bed: Bed) -> float | None:
     """Where the lip leaves the wall so that the sheet, behind it, pushes nothing over the edge; None for nowhere.
 
-    That is before the apex, where the lip has cut nothing, is as far below the bed as that is below the edge; and the
-    sheet is to be level by then.
+    That is before the apex, where the lip has cut nothing, is as far below the bed, if that were level, as the bed is
+    below the edge; and the sheet is to be level by then.
     """
     lip_mm, apex_mm = path.lip_mm[path.on_wall], path.apex_mm[path.on_wall]
-    radius_mm, free_mm = bed.mortar.bowl_radius_mm, bed.mortar.depth_mm - bed.surface_mm
-    deepest_mm = bed.surface_mm - free_mm + max(NEAR_EDGE_MM, bed.powder.grain_mm)
+    radius_mm, level_mm = bed.mortar.bowl_radius_mm, Bed(bed.mortar, bed.mass_mg, bed.powder).surface_mm
+    deepest_mm = 2 * level_mm - bed.mortar.depth_mm + max(NEAR_EDGE_MM, bed.powder.grain_mm)
     is_uncut = np.hypot(apex_mm[:, 0], radius_mm - apex_mm[:, 2]) > radius_mm - stroke.gap_mm
     dips = is_uncut & (apex_mm[:, 2] < deepest_mm)
     if not dips.any():
@@ -315,7 +316,9 @@ def bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def _bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    above_mg = bed.above_bent_mg(_left_mm(stroke, bed.powder), (stroke.open_mm + stroke.closed_mm) / 2)
+    rim_mm = (stroke.open_mm + stroke.closed_mm) / 2
+    leans_deg = math.degrees(math.asin(rim_mm / 2 / sheet_radius_mm)) - _attack_deg(stroke, bed.mortar, sheet_radius_mm)
+    above_mg = bed.above_bent_mg(_left_mm(stroke, bed.powder), rim_mm, leans_deg)
     return (1.0 - _falls_back(stroke, bed, sheet_radius_mm)) * above_mg
 
 

@@ -129,7 +129,7 @@ def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) ->
     depth_mm = next((mm for mm in nearest_mm if is_worth(bowl.bore_mm, mm)), None)
     lesser_mg = (share / 100 * bed_mg for share in range(95, 0, -5))
     less_mg = next((mg for mg in lesser_mg if is_worth(bowl.bore_mm, bowl.depth_mm, mg)), None)
-    would = [f"a bore of {bore_mm:g} mm"] if bore_mm is not None else []
+    would = [f"a bore of {bore_mm:g} mm (if there is room for it)"] if bore_mm is not None else []
     would += [f"a depth of {depth_mm:g} mm"] if depth_mm is not None else []
     would += [f"{format_mass(less_mg)} in it"] if less_mg is not None else []
     return f"; {' or '.join(would)} would do" if would else ""
@@ -197,12 +197,16 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
         of = f"of {format_mass(source.amount_mg)} in this jar the strokes that the arm can make at '{source.station}'"
         needed = f"{len(doses_mg)} ({format_mass(sum(doses_mg))}) are needed"
         needed += " before it is refilled" if source.refill_mg is not None else ""
-        gone = ", what is left of each load is thrown away" if source.is_discarded else ""
+        gone = returned = ""
+        if source.is_discarded:
+            gone = ", what is left of each load is thrown away"
+            if sure_doses(jar, doses_mg, everywhere_deg, is_discarded=False, may_be=arm_can) == len(doses_mg):
+                returned = "say `leftover: return`, with which they all are, "
         raise MortarCannotBeScooped(
             source.name,
             f"{of} are sure to bring {brings}, and {needed}{gone}; the rest lies before the wall and beside the "
-            "strokes: fill in more, take a mortar, or a place where the arm can make strokes in more directions "
-            "(`scuhand-bt reach --task scoop`)",
+            f"strokes: {returned}fill in more, take a mortar, or a place where the arm can make strokes in more "
+            "directions (`scuhand-bt reach --task scoop`)",
         )
 
 
