@@ -148,7 +148,7 @@ def test_the_stroke_for_the_smallest_dose_is_looked_at_beside_the_deepest(
     gaps_mm, recipe = list[float](), lab.folder / "recipes" / "one.yaml"
     recipe.write_text(re.sub(r"amount: \d+ g", "amount: 20 g", recipe.read_text()))
 
-    def noted(motion: Any, cell: Any, source: Any, stroke: Stroke) -> float:
+    def noted(motion: Any, cell: Any, source: Any, stroke: Stroke, *, is_brief: bool) -> float:
         gaps_mm.append(stroke.gap_mm)
         return 4.0
 
