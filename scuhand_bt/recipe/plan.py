@@ -333,7 +333,9 @@ class _Forecaster:
             found = [self._of(child, scope) for child in children_of(node)]
             if node.kind == "sequence":
                 return [expected for child in found for expected in child]
-            longest = max(found, key=lambda child: sum(expected.duration_s for expected in child))
+            # Nothing fails: of a fallback it is the first. A fresh scoop, say, is behind the look at what the cone holds.
+            is_first = node.kind == "fallback"
+            longest = found[0] if is_first else max(found, key=lambda one: sum(expected.duration_s for expected in one))
             others = [expected for child in found if child is not longest for expected in child]
             return [*longest, *(replace(one, duration_s=0.0) for one in others if one.person or one.descent)]
         if isinstance(node, Decorator) and node.kind == "for_each":
