@@ -1,6 +1,9 @@
 """What is left in the cone goes where the recipe wants it: kept for the next sample, back, or away."""
 
-from scuhand_bt.skill import Cell, Code, Keeping, Kept, Skill, SkillFailed, Source, Steps
+from collections.abc import Mapping
+from typing import Any
+
+from scuhand_bt.skill import Cell, CellSpec, Code, Forecast, Keeping, Kept, Skill, SkillFailed, Source, Steps
 
 from ._emptying import pour_rest, put_away
 
@@ -17,6 +20,12 @@ class ReturnLeftover(Skill[None]):
     source: Source
     keep: Keeping = "never"
     """Whether it may stay in the cone for the next sample: only as the recipe's `leftover` says, or if it is silent."""
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        source = inputs.get("source")
+        is_kept = isinstance(source, Source) and source.is_kept(inputs.get("keep", "never"))
+        return Forecast(0.0 if is_kept else cls.typical_s)
 
     def run(self, cell: Cell) -> Steps[None]:
         believed = cell.believed

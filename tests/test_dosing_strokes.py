@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.dosing.bed import Bed, Layer
-from scuhand_bt.dosing.beds import strokes_for_less, strokes_in
+from scuhand_bt.dosing.beds import bed_for, strokes_for_less, strokes_in
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Ladle, NoStrokeError, Stroke
 from scuhand_bt.dosing.strokes import (
     BENT_LIMIT,
@@ -573,3 +573,10 @@ def test_where_half_a_millimetre_is_more_than_the_load_limit_a_stroke_is_made_th
     powder = HEAVY.model_copy(update={"bulk_density_mg_per_mm3": 4.0, "load_limit_mg": 300.0})
     bed = Bed(bowl, 20_000.0, powder)
     assert 0.2 * 300.0 < expected_mg(chosen(bed, Ladle(60.0), 285.0), bed, 60.0) <= 285.0
+
+
+def test_a_question_about_the_same_bed_is_answered_once() -> None:
+    """A check asks ten times, each dry run of a plan again: a tenth of a second each."""
+    first, again = (chosen(bed_for(MORTAR, 9_876.0, BEADS, LADLE), LADLE, 2_345.0) for _ in range(2))
+    assert first is again
+    assert chosen(bed_for(MORTAR, 9_875.0, BEADS, LADLE), LADLE, 2_345.0) is not first

@@ -8,11 +8,12 @@ import pytest
 
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import ApexPose, MotionPlanner, Mount, apex, solutions
+from scuhand_bt.motion import ApexPose, MotionPlanner, Mount, apex, solutions, transfer
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import rest_to_rest_s
+from scuhand_bt.motion.transfer import BRIEF, LIVE
 
 LAB = load_lab(starter_lab())
 MORTAR = LAB.library.mortars["agate_mortar"]
@@ -65,6 +66,20 @@ def test_a_motion_keeps_every_joints_limits(planner):
     assert planner.rates.stretch_for(motion) <= 1 + 1e-6
     q = motion.at(times(motion))
     assert ((q >= LIMITS_RAD[0] - 1e-9) & (q <= LIMITS_RAD[1] + 1e-9)).all()
+
+
+@pytest.mark.parametrize("effort", [BRIEF, LIVE])
+def test_a_brief_search_for_a_loads_way_plants_no_trees(monkeypatch, effort):
+    """Where there is none, they took 7 s of a check for each direction of a stroke."""
+    planned = []
+    monkeypatch.setattr(transfer._Search, "direct", lambda search, goals, upto_s: search.add(goals) and None)
+    monkeypatch.setattr(transfer._Search, "quicker_than", lambda search, *_: None)
+    monkeypatch.setattr(transfer._Search, "by_rrt_connect", lambda search, *_: planned.append(search._loaded))
+    planner = new_planner()
+    pose = above("mortar_bay", 120)
+    with pytest.raises(SkillFailed, match=r"arm\.no_path"):
+        planner.move(planner.home(), pose, spill_limit_deg=25.0, effort=effort)
+    assert any(planned) is (effort is LIVE)
 
 
 @pytest.mark.slow

@@ -12,7 +12,9 @@ from conftest import Call, LabFolder
 
 from harness.own_workflow import RECIPE, TREE, write_own
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Stroke
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.lab import read_lab, starter_lab
+from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Problem
 from scuhand_bt.report import directions
 from scuhand_bt.run import checking, ways
@@ -148,7 +150,7 @@ def test_the_stroke_for_the_smallest_dose_is_looked_at_beside_the_deepest(
     gaps_mm, recipe = list[float](), lab.folder / "recipes" / "one.yaml"
     recipe.write_text(re.sub(r"amount: \d+ g", "amount: 20 g", recipe.read_text()))
 
-    def noted(motion: Any, cell: Any, source: Any, stroke: Stroke) -> float:
+    def noted(motion: Any, cell: Any, source: Any, stroke: Stroke, *, is_brief: bool) -> float:
         gaps_mm.append(stroke.gap_mm)
         return 4.0
 
@@ -156,6 +158,43 @@ def test_the_stroke_for_the_smallest_dose_is_looked_at_beside_the_deepest(
     assert blocked(lab) == []
     first_mm, smallest_mm, *_ = gaps_mm
     assert smallest_mm > first_mm > LIP_GAP_MM
+
+
+@pytest.mark.slow
+def test_where_no_stroke_is_possible_no_way_between_places_is_polished(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither before that is known nor where the mortar might stand: that took longer than all else."""
+    patience_s = list[float]()
+
+    def noted(motion: MotionPlanner, *_: Any) -> None:
+        patience_s.append(motion.patience_s)
+
+    monkeypatch.setattr(MotionPlanner, "prepare", noted)
+    stands(lab, LID)
+    (message,) = blocked(lab)
+    assert "no stroke is possible in any direction" in message
+    assert "it can scoop there" in message
+    assert set(patience_s) == {0.0}
+
+
+@pytest.mark.parametrize("last", [False, True])
+def test_a_way_that_is_soon_found_comes_before_long_searches_in_other_directions(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch, last: bool
+) -> None:
+    asked = list[tuple[float, bool]]()
+
+    def possible(motion: Any, cell: Any, source: Any, stroke: Stroke, *, is_brief: bool) -> float:
+        asked.append((stroke.heading_deg, is_brief))
+        if (last and is_brief) or len(asked) < 3:
+            raise SkillFailed(Code.ARM_NO_PATH, "none")
+        return 4.0
+
+    monkeypatch.setattr(ways, "swing_and_out", possible)
+    assert blocked(lab) == []
+    first = [is_brief for _, is_brief in asked][: 49 if last else 3]
+    assert first == ([True] * 48 + [False] if last else [True] * 3)
+    assert asked[48 if last else 0][0] == asked[0][0], "all of them again, in their order"
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from typing import TypeAlias
 
 from scuhand_bt.dosing import strokes
@@ -20,6 +21,7 @@ LESSER = (0.5, 0.25)
 that the arm can make, as its lip would come too low."""
 
 
+@lru_cache(maxsize=64)  # the same one is asked for by each check of a source, and as each dry run of a plan begins
 def bed_for(mortar: Mortar, mass_mg: float, powder: Powder, ladle: Ladle, layer: Layer | None = None) -> AnyBed:
     """So much in such a vessel, as its last strokes have left it, for such a hand."""
     if mortar.corner_mm is None:

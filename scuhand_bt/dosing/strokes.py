@@ -43,6 +43,7 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from itertools import chain, count
 
 import numpy as np
@@ -144,6 +145,7 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
     )
 
 
+@lru_cache(maxsize=64)  # a tenth of a second each, and asked for once for each question about a bed
 def chosen(bed: Bed, ladle: Ladle, wanted_mg: float, widest_mm: float = math.inf) -> Stroke:
     """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be.
 

@@ -80,9 +80,13 @@ class Effort:
     """So many steps downhill are taken from the best schedule of a search."""
     starts: int = 1
     """So many searches of schedules are made."""
+    is_brief: bool = False
+    """Whether a load's way that no schedule finds is given up: most that there are are found by one, and that there is
+    none costs hundreds of times as much to see."""
 
 
 LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=7, near_optimum=1.66, good_enough=1.07)
+BRIEF = replace(LIVE, is_brief=True)
 PREPARED = replace(LIVE, schedule_rounds=100, via_rounds=40, idle_rounds=100, changes=20, starts=2)
 """Of loads between places, which are planned before the arm waits for them."""
 POLISHED = Effort(
@@ -215,6 +219,8 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
     if known.is_quick:
         # Not begun from a direct motion, which may be so slow that improving on it stands still.
         return _quickest([best, *(one.quicker_than(None, np.random.default_rng(seed), good_s) for one in searches)])
+    if effort.is_brief and task.spill_limit_deg is not None:
+        return best
     for attempt in range(1 if known.will_do else known.attempts):
         rng = np.random.default_rng([seed, attempt] if attempt else seed)
         for search in searches:

@@ -113,7 +113,7 @@ class _Expected:
 def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     """Order the samples, put sheet swaps between powders and refills before mortars run short, and forecast.
 
-    The forecast is of a run in which nothing fails: what a `retry` holds counts once.
+    The forecast is of a run in which nothing fails: what a `retry` holds counts once, and of a `fallback` the first.
 
     Raises SourceError if the lab lacks a workflow that the plan needs, or has a wrong one.
     """
@@ -333,7 +333,9 @@ class _Forecaster:
             found = [self._of(child, scope) for child in children_of(node)]
             if node.kind == "sequence":
                 return [expected for child in found for expected in child]
-            longest = max(found, key=lambda child: sum(expected.duration_s for expected in child))
+            # Nothing fails: of a fallback that is the first, as a look at what the cone holds, with a scoop behind it.
+            goes_on = found[:1] if node.kind == "fallback" else found
+            longest = max(goes_on, key=lambda child: sum(expected.duration_s for expected in child))
             others = [expected for child in found if child is not longest for expected in child]
             return [*longest, *(replace(one, duration_s=0.0) for one in others if one.person or one.descent)]
         if isinstance(node, Decorator) and node.kind == "for_each":

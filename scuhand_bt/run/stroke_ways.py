@@ -218,11 +218,16 @@ def headings_deg(cell: CellSpec, station: str) -> Iterator[float]:
         yield (across_deg + turn_deg) % 360.0
 
 
-def swing_and_out(motion: "MotionPlanner", cell: CellSpec, source: Source, stroke: Stroke) -> float:
+def swing_and_out(
+    motion: "MotionPlanner", cell: CellSpec, source: Source, stroke: Stroke, *, is_brief: bool = False
+) -> float:
     """A stroke in its direction, its load to the mortar's place, and the cone opened: how long it swings [s].
 
-    NoStrokeError, or SkillFailed arm.*, where one of these cannot be.
+    `is_brief`: the load's way is not searched for at length. NoStrokeError, or SkillFailed arm.*, where one of these
+    cannot be.
     """
+    from scuhand_bt.motion.transfer import BRIEF, LIVE  # and with it what planning needs
+
     path = stroke_path(Vessel.of(source.mortar), stroke, Ladle.of(cell.hand))
     try:
         begin = motion.standing_at(source.station)
@@ -230,7 +235,8 @@ def swing_and_out(motion: "MotionPlanner", cell: CellSpec, source: Source, strok
         rim_mm = float(path.rim_mm[-1])
         motion.set_geometry(rim_mm / 1000)
         limit_deg = carrying_limit_deg(cell, source.powder, source.powder.load_limit_mg, rim_mm)
-        there = motion.move(swing.end[:-1], source.station, spill_limit_deg=limit_deg).end
+        effort = BRIEF if is_brief else LIVE
+        there = motion.move(swing.end[:-1], source.station, spill_limit_deg=limit_deg, effort=effort).end
         motion.reform(
             there,
             source.station,

@@ -17,7 +17,7 @@ from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
-from scuhand_bt.dosing.ladle import NoStrokeError
+from scuhand_bt.dosing.ladle import NoStrokeError, Stroke
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.cell_solids import are_in_each_other, full_mortar, solids_of
@@ -66,6 +66,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
     except MortarCannotBeScooped:
         raise
     except SkillFailed:
+        motion.patience_s = 0.0  # from now on only whether there is a way counts, and not how quick it is
         lacks = [_lacks(motion, cell, kinds, demand) for demand in scooped]
         badly = [(demand, lack) for demand, lack in zip(scooped, lacks, strict=True) if lack is not None]
         if not badly:
@@ -107,6 +108,9 @@ def _ways(
     motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
 ) -> None:
     """All ways of a plan that scoops so much; SkillFailed for one that there is not."""
+    motion.set_geometry()
+    for demand in scooped:  # mostly what fails, and soon known beside all ways between places
+        _strokes(motion, cell, demand)
     pans = [(kind, over_balance(cell, kind)[0]) for kind in kinds]
     limits_deg = {demand.source.name: _limit_deg(cell, demand.source) for demand in scooped}
     motion.prepare(pans, [carry for demand in scooped for carry in _carries(cell, demand.source, kinds)])
@@ -118,8 +122,6 @@ def _ways(
             down = motion.descent(place, from_above_mm / 1000, LOWERING_M_PER_S, limit_deg)
             motion.move(begin, down.start, spill_limit_deg=limit_deg)
     motion.set_geometry()
-    for demand in scooped:
-        _strokes(motion, cell, demand)
 
 
 def _limit_deg(cell: CellSpec, source: Source) -> float:
@@ -155,15 +157,26 @@ def _strokes(motion: MotionPlanner, cell: CellSpec, demand: Demand) -> None:
 
 
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float, wanted_mg: float) -> None:
-    """A stroke in some direction, and from its end to where loads are carried from."""
-    why = ""
-    for stroke in strokes_along(cell, source, bed_mg, wanted_mg, list(headings_deg(cell, source.station))):
+    """A stroke in some direction, and from its end to where loads are carried from: at length only where that is not
+    soon found for any.
+    """
+    why, tried = "", list[Stroke]()
+
+    def is_possible(stroke: Stroke, *, is_brief: bool) -> bool:
+        nonlocal why
         try:
-            swing_and_out(motion, cell, source, stroke)
+            swing_and_out(motion, cell, source, stroke, is_brief=is_brief)
         except (NoStrokeError, SkillFailed) as error:
             why = why or str(error)
-        else:
+            return False
+        return True
+
+    for stroke in strokes_along(cell, source, bed_mg, wanted_mg, list(headings_deg(cell, source.station))):
+        if is_possible(stroke, is_brief=True):
             return
+        tried.append(stroke)
+    if any(is_possible(stroke, is_brief=False) for stroke in tried):
+        return
     where = f"at '{source.station}' no stroke is possible in any direction"
     raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
@@ -202,11 +215,11 @@ def _elsewhere(
         moved = cell.model_copy(update={"stations": {**cell.stations, station.name: there}})
         sources = plan.recipe.sources
         planner = MotionPlanner(motion.urdf, moved, {one.station: one.mortar for one in sources.values()})
+        planner.patience_s = motion.patience_s
         gone_to = {name: one for name, one in sources.items() if one.station not in left_out}
         try:
             for name, position_mm in all_places(moved, gone_to, kinds).items():
                 planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
-            _strokes(planner, moved, scooped[0])  # mostly what fails, and soon known beside all ways between places
             _ways(planner, plan, moved, kinds, scooped)
         except MortarCannotBeScooped:
             raise
