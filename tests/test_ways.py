@@ -5,6 +5,7 @@ import math
 import re
 import sys
 from itertools import islice
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -309,6 +310,24 @@ def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and
     assert proposed is not None, message
     lab.replace("robot/cell.yaml", "340 mm, -400 mm, 120 mm", proposed[1])
     assert blocked(lab) == []
+
+
+def test_what_a_bowl_fails_by_at_one_place_is_asked_first_at_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked_mg, bowl = [(9e3, 3e3), (9e3, 100.0), (2e3, 3e3)], SimpleNamespace(mortar=SimpleNamespace(corner_mm=None))
+    demand: Any = SimpleNamespace(source=bowl)
+    found = []
+
+    def no_last_bed(*asked: Any) -> None:
+        found.append(asked[3:])
+        if asked[3] < 9e3:
+            raise SkillFailed("arm.no_path", "no stroke")
+
+    monkeypatch.setattr(ways, "_stroke", no_last_bed)
+    nowhere: Any = None
+    for _ in range(2):
+        with pytest.raises(SkillFailed):
+            ways._strokes_there(nowhere, nowhere, demand, asked_mg)
+    assert found == [(9e3, 3e3), (9e3, 100.0), (2e3, 3e3), (2e3, 3e3)]
 
 
 @pytest.mark.slow

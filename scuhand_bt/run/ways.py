@@ -152,8 +152,23 @@ def _strokes(motion: MotionPlanner, cell: CellSpec, demand: Demand) -> None:
     if demand.source.mortar.corner_mm is not None:
         strokes_in_jar(motion, cell, demand)
         return
-    for bed_mg, wanted_mg in itertools.product(_beds_mg(demand), wishes_mg(demand)):
+    for bed_mg, wanted_mg in _asked_mg(demand):
         _stroke(motion, cell, demand.source, bed_mg, wanted_mg)
+
+
+def _strokes_there(motion: MotionPlanner, cell: CellSpec, demand: Demand, asked_mg: list[tuple[float, float]]) -> None:
+    """Those of a bowl at one of several places: what fails comes first in `asked_mg`, for the next one."""
+    for number, (bed_mg, wanted_mg) in enumerate(asked_mg):
+        try:
+            _stroke(motion, cell, demand.source, bed_mg, wanted_mg)
+        except SkillFailed:
+            asked_mg.insert(0, asked_mg.pop(number))
+            raise
+
+
+def _asked_mg(demand: Demand) -> list[tuple[float, float]]:
+    """The beds of a bowl, and what is wanted of each."""
+    return list(itertools.product(_beds_mg(demand), wishes_mg(demand)))
 
 
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float, wanted_mg: float) -> None:
@@ -207,6 +222,7 @@ def _elsewhere(
         for out_mm, turn_deg in itertools.product(OUT_MM, (*TURNS_DEG, *(-turn_deg for turn_deg in TURNS_DEG)))
     ]
     places.sort(key=lambda place_mm: math.dist(place_mm, station.position_mm))
+    asked_mg = [] if source.mortar.corner_mm is not None else _asked_mg(scooped[0])
     for wished_mm in (*places, *((x_mm, y_mm, z_mm + stand_mm) for stand_mm in STANDS_MM)):
         written_mm, place_mm = _as_written(station, wished_mm)
         if not _has_room(cell, station.name, place_mm, source):
@@ -220,6 +236,7 @@ def _elsewhere(
         try:
             for name, position_mm in all_places(moved, gone_to, kinds).items():
                 planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+            _strokes_there(planner, moved, scooped[0], asked_mg)
             _ways(planner, plan, moved, kinds, scooped)
         except MortarCannotBeScooped:
             raise
