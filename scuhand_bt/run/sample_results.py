@@ -133,5 +133,8 @@ def _broke_off(failure: SkillFailed | None, seen_mg: float) -> SkillFailed:
 
 
 def _tells_of(closed: ClosedBracket, result: SampleResult) -> bool:
-    """Whether something came into the container, whether a dose of its sample tells of it or not."""
-    return bool(closed.doses) or any(dose.container == closed.container for dose in result.doses)
+    """Whether something came into the container, whether a dose of its sample tells of it or not.
+
+    Of one that was thrown away only what its sample still tells of counts.
+    """
+    return bool(closed.doses and not closed.is_discarded) or any(dose.container == closed.container for dose in result.doses)
