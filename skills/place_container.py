@@ -87,7 +87,7 @@ class PlaceContainer(Skill[None]):
         believed.placed(weighing_of(bare), weighing_of(loaded))
 
     def _require_known(self, cell: Cell) -> None:
-        """SkillFailed container.changed where it was on the pan before, and nobody knows what it holds, or where it is."""
+        """SkillFailed container.changed where nobody knows what it holds that was on the pan before, or where it is."""
         container, before = self.container.id, cell.believed.had_gone(self.container.id)
         if before is None:
             return

@@ -128,10 +128,10 @@ class Believed(BelievedPowder):
         """The container on the pan weighs what its kind does, and what it held before. ValueError without one."""
         if self.pan is None:
             raise ValueError("no container stands on the pan")
-        before = self.had_gone(self.pan.id)
-        carried = before.doses if before else MappingProxyType[str, Net]({})
-        lot = next(reversed(carried), "")  # what an outage finds in it before another dose is of that
-        bracket = Bracket(self.pan.id, bare, loaded, loaded, lot=lot, carried=carried)
+        bracket = Bracket(self.pan.id, bare, loaded, loaded)
+        if (before := self.had_gone(self.pan.id)) is not None:
+            lot = next(reversed(before.doses), "")  # what an outage finds in it before another dose is of that
+            bracket = replace(bracket, lot=lot, carried=before.doses, lasted_s=before.lasted_s)
         self._set(pan_gross_mg=loaded.gross_mg, bracket=bracket, given_up="")
 
     def had_gone(self, container: str) -> ClosedBracket | None:
@@ -192,7 +192,8 @@ class Believed(BelievedPowder):
     def bracket_closed(self, closed: ClosedBracket | None) -> None:
         """The bare pan was weighed after a container; None where nothing was dosed into it.
 
-        A zero that has just stepped may step back within the next bracket, which then closes by chance.
+        A zero that has just stepped may step back within the next bracket, which then closes by chance. Of a container
+        that has come again the later bracket tells all, and earlier ones only where they did not close.
         """
         if closed is None:
             self._set(bracket=None)
@@ -208,7 +209,7 @@ class Believed(BelievedPowder):
             told = replace(told, difference_mg=before.difference_mg, detail=f"{before.detail}; then {told.detail}")
         self._set(
             bracket=None,
-            closed=(*self.closed, told),
+            closed=(*(one for one in self.closed if one.container != told.container or not one.closes), told),
             gone=self.gone if is_discarded else self._gone_with(told),
             has_closed=True,
             is_zero_doubted=not closed.closes,

@@ -14,6 +14,8 @@ AS_WRITTEN = PlainSerializer(dict)
 READ_ONLY = AfterValidator(MappingProxyType)
 Nets: TypeAlias = Annotated[Mapping[str, Net], READ_ONLY, AS_WRITTEN]
 """Doses by powder lot (`Source.sheet_key`); read-only, as the rest of what is believed."""
+Durations: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
+"""How long these took to come [s], by powder lot."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,7 @@ class Bracket:
     doses: Nets = field(default_factory=lambda: MappingProxyType({}))
     drifted: Nets = field(default_factory=lambda: MappingProxyType({}))
     """What was taken out of them as the drift's, by powder lot."""
-    lasted_s: Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
+    lasted_s: Durations = field(default_factory=lambda: MappingProxyType({}))
     """How long they took to come, by powder lot: what the zero did meanwhile is in them."""
     drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
     """What was seen about the last dose."""
@@ -114,6 +114,8 @@ class ClosedBracket:
     difference_mg: float
     """What the container has gained by the bare pan, less what was dosed; of several visits the largest."""
     detail: str
+    lasted_s: Durations = field(default_factory=lambda: MappingProxyType({}))
+    """How long the doses took to come, over all visits."""
     is_discarded: bool = False
     """It was thrown away, and what it holds is no dose of a sample that does not tell of it."""
 
