@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from dose_bench import BAY, DISH, MORTAR, Bench, shipped_powders
 
+from scuhand_bt.cell.places import over_balance
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
@@ -521,15 +522,19 @@ def test_the_valve_opens_once_the_empty_containers_weighing_is_on_disk(rig: Rig)
     assert on_disk == [("DoseBegun", empty_mg, True)]
 
 
-def test_a_container_that_weighs_less_after_a_dose_broke_off_is_another_one(rig: Rig) -> None:
+@pytest.mark.parametrize("skill", ["tare", "dispense"])
+def test_a_container_that_weighs_less_after_a_dose_broke_off_is_another_one(rig: Rig, skill: str) -> None:
     """30 mg less were taken for a dose of -30 mg, and 80 mg were dosed into it for 50."""
     believed = rig.cell.believed
+    place, _ = over_balance(rig.cell.spec, DISH)
+    rig.cell = replace(rig.cell, places_mm={place: rig.cell.apex_mm()})
+    inputs = {"mass_mg": TARGET_MG, "tolerance_mg": TOLERANCE_MG} if skill == "dispense" else {}
     believed.dosing_towards(TARGET_MG, BEADS.name, Gross(25_000.0, 0.0, rig.clock.now_s))
     believed.dosing_ended(5.0, 25_005.0)
     rig.balance.load_mg -= 30.0
     for _ in range(2):  # trying again does not make it the same
         with pytest.raises(SkillFailed, match=r"has gained -30\.0 mg") as failed:
-            rig.bench.drive(rig.skill("tare").run(rig.cell))
+            rig.bench.drive(rig.skill(skill, **inputs).run(rig.cell))
         assert failed.value.code == "container.changed"
     with pytest.raises(SkillFailed, match="was on the pan before: since it was last weighed"):
         rig.bench.drive(rig.skill("place_container", container=DISH).run(rig.cell))
