@@ -27,4 +27,5 @@ class DiscardContainer(Skill[None]):
         container = believed.pan.id if believed.pan is not None else of_bracket
         if container is not None:  # else it went before an interruption
             cell.record.event(ContainerDiscarded(container=container))
+            believed.discarded()
         yield from take_container_away(cell)

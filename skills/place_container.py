@@ -42,10 +42,12 @@ class PlaceContainer(Skill[None]):
 
     def _change(self, cell: Cell) -> Steps[None]:
         believed, exchanging = cell.believed, self._exchanged(cell)
-        held_mg = self._held_mg(cell)
+        self._require_known(cell)
         is_by_hand = cell.changer.needs_person or self._is_used_up(cell)
         bare = yield from cell.right_of_way.undisturbed(exchanging) if is_by_hand else exchanging
         brought_s = cell.clock.now_s
+        before = believed.had_gone(self.container.id)
+        held_mg = sum(net.mass_mg for net in before.doses.values()) if before is not None else 0.0
         first_slot = cell.spec.changer.first_slot(self.container.name)
         believed.brought(self.container, from_changer=not cell.changer.needs_person, first_slot=first_slot)
         loaded = yield from weigh_changed(cell, bare.value_mg)
@@ -84,14 +86,16 @@ class PlaceContainer(Skill[None]):
             require_known_delay(cell, step)
         believed.placed(weighing_of(bare), weighing_of(loaded))
 
-    def _held_mg(self, cell: Cell) -> float:
-        """What it got when it was on the pan before. SkillFailed container.changed where nobody knows."""
-        before = cell.believed.had_gone(self.container.id)
+    def _require_known(self, cell: Cell) -> None:
+        """SkillFailed container.changed where nobody knows what it holds that was on the pan before, or where it is."""
+        container, before = self.container.id, cell.believed.had_gone(self.container.id)
         if before is None:
-            return 0.0
+            return
         if not before.doses:
-            raise SkillFailed(Code.CONTAINER_CHANGED, f"'{self.container.id}' was on the pan before: {before.detail}")
-        return sum(net.mass_mg for net in before.doses.values())
+            raise SkillFailed(Code.CONTAINER_CHANGED, f"'{container}' was on the pan before: {before.detail}")
+        if not cell.changer.needs_person and container not in cell.believed.slots:
+            refilled = "the changer was filled again since, and what is in its slot is another"
+            raise SkillFailed(Code.CONTAINER_CHANGED, f"'{container}' was on the pan before: {refilled}")
 
     def _exchanged(self, cell: Cell) -> Steps[StableMean]:
         """The container on the pan; what the pan weighed bare before it came."""

@@ -23,6 +23,7 @@ class Tare(Skill[Milligrams]):
         if cell.believed.weighed_container is None or cell.believed.bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `tare`")
         yield from weigh_broken_off(cell)
+        require_unchanged(cell)
         bracket = cell.believed.bracket
         assert bracket is not None
         allowed_mg = STILL_DIGITS * cell.spec.balance.readability_mg

@@ -87,6 +87,7 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
         masses_mg,
     ),
     "container_given_up": st.just(lambda b: b.container_given_up("it is another one")),
+    "discarded": st.just(Believed.discarded),
     "slots_refilled": st.just(Believed.slots_refilled),
     "slots_taken": st.builds(lambda n: lambda b: b.slots_taken({"die": n}), st.integers(-1, 9)),
     "containers_taken": st.builds(lambda n: lambda b: b.containers_taken(n, {"die": n}), st.integers(-1, 9)),
@@ -280,6 +281,8 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
                 "closes": True,
                 "difference_mg": 0.0,
                 "detail": "it closes",
+                "lasted_s": {},
+                "is_discarded": False,
             }
         ],
         "is_zero_doubted": False,
@@ -718,6 +721,46 @@ def test_a_container_that_was_changed_on_the_pan_is_known_to_hold_something() ->
     before = believed.had_gone(DISH.id)
     assert before is not None
     assert (dict(before.doses), before.detail) == ({}, "it is another one")
+
+
+def test_a_container_that_was_thrown_away_holds_nothing_that_is_known_and_one_without_powder_may_come_again() -> None:
+    believed = on_the_pan()
+    believed.discarded()
+    assert believed.had_gone(DISH.id) is None, "an empty one"
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.discarded()
+    believed.removed()
+    believed.bracket_closed(gone())
+    before = believed.had_gone(DISH.id)
+    assert before is not None
+    assert (dict(before.doses), before.detail) == ({}, "it was thrown away")
+    assert [one.is_discarded for one in believed.closed] == [True]
+
+
+def test_the_last_bracket_of_a_container_tells_of_all_visits_but_of_those_that_did_not_close() -> None:
+    believed = on_the_pan()
+    visits = [
+        replace(gone(), difference_mg=mg, closes=closes) for mg, closes in ((1.5, True), (-0.2, True), (0.1, False))
+    ]
+    for visit in (visits[0], visits[1]):
+        believed.bracket_closed(visit)
+    (told,) = believed.closed
+    assert (told.difference_mg, told.detail) == (1.5, "it closes; then it closes")
+    believed.bracket_closed(visits[2])
+    believed.bracket_closed(visits[1])
+    assert [one.closes for one in believed.closed] == [False, False], "the zero is doubted after it"
+
+
+def test_how_long_doses_took_to_come_is_over_all_visits() -> None:
+    believed = on_the_pan()
+    believed.removed()
+    believed.bracket_closed(replace(gone(), lasted_s={BEADS.sheet_key: 20.0}))
+    believed.brought(DISH, from_changer=True)
+    believed.placed(weighed(10.0, 1.0), weighed(20_060.0, 3.0))
+    believed.dosing_towards(90.0, BEADS.sheet_key, weighed(20_060.0, 5.0))
+    believed.dosed(Net(40.0, 0.1), STILL, weighed(20_100.0, 12.0), 3, 1.5)
+    assert believed.bracket is not None
+    assert believed.bracket.lasted_s == {BEADS.sheet_key: 27.0}
 
 
 def test_what_arrived_since_the_valve_opened_has_left_the_cone_and_is_in_the_container() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from dose_bench import BAY, DISH, MORTAR, Bench, shipped_powders
 
+from scuhand_bt.cell.places import over_balance
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
@@ -91,15 +92,15 @@ class Rig:
         believed.placed(Gross(0.0, 0.0, 0.0), Gross(25_000.0, 0.0, 0.0))
         believed.source_holds("store", 7000.0)
         believed.cone_holds(self.cell.sources["store"], 3000.0)
-        self.bench.drive(self._skill("tare").run(self.cell))
+        self.bench.drive(self.skill("tare").run(self.cell))
 
-    def _skill(self, name: str, **inputs: Any) -> Any:
+    def skill(self, name: str, **inputs: Any) -> Any:
         return self._lab.library.skills[name](**inputs)
 
     def dispense(self, *brings_mg: float, reason: str = "reached") -> Dose:
         """Dispense 50 ± 2 mg, while the controllers bring this."""
         self.brings, self.reason = list(brings_mg), reason
-        skill = self._skill("dispense", mass_mg=TARGET_MG, tolerance_mg=TOLERANCE_MG, controller="last_word")
+        skill = self.skill("dispense", mass_mg=TARGET_MG, tolerance_mg=TOLERANCE_MG, controller="last_word")
         dose: Dose = self.bench.drive(skill.run(self.cell))
         return dose
 
@@ -153,7 +154,7 @@ def test_a_zero_that_falls_while_powder_comes_is_remembered_unless_it_is_shaken(
     monkeypatch.setitem(CONTROLLERS, "pours", lambda request: Pours(rig, vibration))  # type: ignore[arg-type]
     begins_mg = rig.balance.load_mg
     rig.balance.zero_mg = lambda time_s: by_mg if rig.balance.load_mg > begins_mg + TARGET_MG / 2 else 0.0
-    skill = rig._skill("dispense", mass_mg=TARGET_MG, tolerance_mg=30.0, controller="pours")
+    skill = rig.skill("dispense", mass_mg=TARGET_MG, tolerance_mg=30.0, controller="pours")
     rig.bench.drive(skill.run(rig.cell))
     assert rig.cell.believed.zero_stepped_mg == pytest.approx(remembered_mg)
 
@@ -175,7 +176,7 @@ def test_a_display_of_coarser_digits_stands_still_between_them_and_is_told_for_w
         return digit_mg * round(held_mg / digit_mg) - came_mg
 
     rig.balance.zero_mg = shown_mg
-    skill = rig._skill("dispense", mass_mg=TARGET_MG, tolerance_mg=30.0, controller="pours")
+    skill = rig.skill("dispense", mass_mg=TARGET_MG, tolerance_mg=30.0, controller="pours")
     with pytest.raises(SkillFailed, match=rf"balance\.coarse: .*{why}"):
         rig.bench.drive(skill.run(rig.cell))
 
@@ -189,7 +190,7 @@ def test_only_the_paper_is_held_to_what_the_paper_was_set_to(
     powder = BEADS.model_copy(update={"max_opening_mm": 2.1, "paper": set_to})
     rig.cell.sources["store"] = rig.cell.sources["store"].model_copy(update={"powder": powder})
     rig.cell.controller = "adaptive" if of_recipe else name
-    skill = rig._skill("dispense", mass_mg=TARGET_MG, controller=name if of_recipe else "")
+    skill = rig.skill("dispense", mass_mg=TARGET_MG, controller=name if of_recipe else "")
     request = skill.request(rig.cell)
     assert request.max_opening_mm == widest_mm
     assert (request.gain, request.wait_s, request.departures) == (0.4, 2.5, (Departure.ORDER,))
@@ -261,10 +262,10 @@ def test_what_is_left_of_a_load_for_a_fresh_one_stays_in_the_cone_and_tells_noth
         rig.dispense(20.0, 30.0, reason="rest")
     assert (believed.cone_mg, believed.cone_source, believed.yields) == (2980.0, "store", {})
     with pytest.raises(SkillFailed, match=r"hand\.cone_empty: what is left in the cone comes only shaken"):
-        rig._skill("cone_holds", powder=BEADS, wanted_mg=TARGET_MG).check(rig.cell)
+        rig.skill("cone_holds", powder=BEADS, wanted_mg=TARGET_MG).check(rig.cell)
     believed.emptied()
     believed.cone_holds(rig.cell.sources["store"], 3000.0)
-    rig._skill("cone_holds", powder=BEADS, wanted_mg=TARGET_MG).check(rig.cell)
+    rig.skill("cone_holds", powder=BEADS, wanted_mg=TARGET_MG).check(rig.cell)
 
 
 def test_the_rest_of_a_load_beyond_what_its_powder_may_be_loaded_with_tells_of_a_rich_source(rig: Rig) -> None:
@@ -286,7 +287,7 @@ def test_a_rest_is_left_only_where_there_is_more_to_scoop_and_something_scoops_i
     rig: Rig, may_scoop_again: bool, in_mortar_mg: float, told: bool
 ) -> None:
     rig.cell.believed.source_holds("store", in_mortar_mg)
-    skill = rig._skill("dispense", mass_mg=TARGET_MG, may_scoop_again=may_scoop_again)
+    skill = rig.skill("dispense", mass_mg=TARGET_MG, may_scoop_again=may_scoop_again)
     rig.dispense(20.0, 30.0)
     asked = skill.request(rig.cell)
     assert (asked.may_scoop_again, asked.came_mg, asked.cone_mg) == (told, 50.0, 2950.0)
@@ -307,7 +308,7 @@ def test_a_weighing_that_is_off_by_chance_makes_no_drift_over_a_long_dose(rig: R
     off_s = number * WEIGHING_S
     rig.balance.zero_mg = lambda time_s: 0.19 if abs(time_s - off_s) < 0.5 else 0.0
     if number == 2:
-        rig.bench.drive(rig._skill("tare").run(rig.cell))
+        rig.bench.drive(rig.skill("tare").run(rig.cell))
     dose = rig.dispense(TARGET_MG)
     assert rig.kept(DoseWeighed)[0].before.gross_mg == 25_000.0, "it was looked at anew"
     assert rig.kept(DoseWeighed)[0].drift_mg_per_s == 0.0
@@ -519,3 +520,22 @@ def test_the_valve_opens_once_the_empty_containers_weighing_is_on_disk(rig: Rig)
     empty_mg = rig.balance.load_mg
     rig.dispense(TARGET_MG)
     assert on_disk == [("DoseBegun", empty_mg, True)]
+
+
+@pytest.mark.parametrize("skill", ["tare", "dispense"])
+def test_a_container_that_weighs_less_after_a_dose_broke_off_is_another_one(rig: Rig, skill: str) -> None:
+    """30 mg less were taken for a dose of -30 mg, and 80 mg were dosed into it for 50."""
+    believed = rig.cell.believed
+    place, _ = over_balance(rig.cell.spec, DISH)
+    rig.cell = replace(rig.cell, places_mm={place: rig.cell.apex_mm()})
+    inputs = {"mass_mg": TARGET_MG, "tolerance_mg": TOLERANCE_MG} if skill == "dispense" else {}
+    believed.dosing_towards(TARGET_MG, BEADS.name, Gross(25_000.0, 0.0, rig.clock.now_s))
+    believed.dosing_ended(5.0, 25_005.0)
+    rig.balance.load_mg -= 30.0
+    for _ in range(2):  # trying again does not make it the same
+        with pytest.raises(SkillFailed, match=r"has gained -30\.0 mg") as failed:
+            rig.bench.drive(rig.skill(skill, **inputs).run(rig.cell))
+        assert failed.value.code == "container.changed"
+    with pytest.raises(SkillFailed, match="was on the pan before: since it was last weighed"):
+        rig.bench.drive(rig.skill("place_container", container=DISH).run(rig.cell))
+    assert [closed.closes for closed in believed.closed] == [False]

@@ -128,8 +128,10 @@ class Believed(BelievedPowder):
         """The container on the pan weighs what its kind does, and what it held before. ValueError without one."""
         if self.pan is None:
             raise ValueError("no container stands on the pan")
-        before = self.had_gone(self.pan.id)
-        bracket = Bracket(self.pan.id, bare, loaded, loaded, carried=before.doses if before else MappingProxyType({}))
+        bracket = Bracket(self.pan.id, bare, loaded, loaded)
+        if (before := self.had_gone(self.pan.id)) is not None:
+            lot = next(reversed(before.doses), "")  # what an outage finds in it before another dose is of that
+            bracket = replace(bracket, lot=lot, carried=before.doses, lasted_s=before.lasted_s)
         self._set(pan_gross_mg=loaded.gross_mg, bracket=bracket, given_up="")
 
     def had_gone(self, container: str) -> ClosedBracket | None:
@@ -172,6 +174,17 @@ class Believed(BelievedPowder):
             dosing=replace(self.dosing, target_mg=None, is_unweighed=False),
         )
 
+    def discarded(self) -> None:
+        """What stands on the pan is thrown away as it goes: with powder in it, it does not come again."""
+        if self.pan is None:
+            return
+        container, has_powder = self.pan.id, self.dosing.is_unweighed or bool(self.bracket and self.bracket.holds)
+        if not has_powder and self.had_gone(container) is None:
+            return
+        lost = ClosedBracket(container, MappingProxyType({}), False, 0.0, "it was thrown away", is_discarded=True)
+        closed = (replace(one, is_discarded=one.is_discarded or one.container == container) for one in self.closed)
+        self._set(closed=tuple(closed), gone=self._gone_with(lost))
+
     def lifted(self, weighing: Gross) -> None:
         """What is about to be taken off the pan weighs so much, the hand away. ValueError without a bracket."""
         self._set(bracket=replace(self._open_bracket, lifted=weighing))
@@ -179,7 +192,8 @@ class Believed(BelievedPowder):
     def bracket_closed(self, closed: ClosedBracket | None) -> None:
         """The bare pan was weighed after a container; None where nothing was dosed into it.
 
-        A zero that has just stepped may step back within the next bracket, which then closes by chance.
+        A zero that has just stepped may step back within the next bracket, which then closes by chance. Of a container
+        that has come again the later bracket tells all, and earlier ones only where they did not close.
         """
         if closed is None:
             self._set(bracket=None)
@@ -188,10 +202,15 @@ class Believed(BelievedPowder):
         if closed.closes and self.is_zero_doubted:
             why = "the balance's zero has stepped of late, or the bracket before did not close"
             told = replace(closed, closes=False, detail=f"{why}; {closed.detail}")
+        before = self.had_gone(closed.container)
+        if is_discarded := before is not None and before.is_discarded:
+            told = replace(told, is_discarded=True)
+        elif before is not None and abs(before.difference_mg) > abs(told.difference_mg):
+            told = replace(told, difference_mg=before.difference_mg, detail=f"{before.detail}; then {told.detail}")
         self._set(
             bracket=None,
-            closed=(*self.closed, told),
-            gone=self._gone_with(told),
+            closed=(*(one for one in self.closed if one.container != told.container or not one.closes), told),
+            gone=self.gone if is_discarded else self._gone_with(told),
             has_closed=True,
             is_zero_doubted=not closed.closes,
         )

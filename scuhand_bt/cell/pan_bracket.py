@@ -8,12 +8,14 @@ from typing import Annotated, TypeAlias
 
 from pydantic import AfterValidator, PlainSerializer
 
-from scuhand_bt.dosing.bracket import Drift, Gross, Net, total
+from scuhand_bt.dosing.bracket import Drift, Gross, Net, standing, total
 
 AS_WRITTEN = PlainSerializer(dict)
 READ_ONLY = AfterValidator(MappingProxyType)
 Nets: TypeAlias = Annotated[Mapping[str, Net], READ_ONLY, AS_WRITTEN]
 """Doses by powder lot (`Source.sheet_key`); read-only, as the rest of what is believed."""
+Durations: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
+"""How long these took to come [s], by powder lot."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,7 @@ class Bracket:
     doses: Nets = field(default_factory=lambda: MappingProxyType({}))
     drifted: Nets = field(default_factory=lambda: MappingProxyType({}))
     """What was taken out of them as the drift's, by powder lot."""
-    lasted_s: Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
+    lasted_s: Durations = field(default_factory=lambda: MappingProxyType({}))
     """How long they took to come, by powder lot: what the zero did meanwhile is in them."""
     drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
     """What was seen about the last dose."""
@@ -41,9 +41,9 @@ class Bracket:
     lifted: Gross | None = None
     """The filled container, the hand away, before it is taken off the pan."""
     carried: Nets = field(default_factory=lambda: MappingProxyType({}))
-    """What it held before these weighings began: after an outage the balance has another zero, and all begin anew."""
+    """What it held before these weighings began: when it came to the pan again, or all began anew after an outage."""
     empty: Net | None = None
-    """What it weighed empty, before such an outage; None where `bare` and `loaded` tell."""
+    """What it weighed empty, before such an outage; None where `bare`, `loaded` and what is carried tell."""
 
     def dosed_mg(self, lot: str) -> Net:
         """What was dosed of a powder lot until now."""
@@ -53,6 +53,13 @@ class Bracket:
     def holds(self) -> dict[str, Net]:
         """All that was dosed, by powder lot."""
         return {lot: self.dosed_mg(lot) for lot in {**self.carried, **self.doses}}
+
+    def weighed_empty(self, readability_mg: float) -> Net:
+        """What the container weighs without any powder."""
+        if self.empty is not None:
+            return self.empty
+        stood, carried = standing(self.bare, self.loaded, readability_mg), total(self.carried.values())
+        return Net(stood.mass_mg - carried.mass_mg, math.hypot(stood.uncertainty_mg, carried.uncertainty_mg))
 
     def tared(self, weighing: Gross) -> "Bracket":
         """Weighed before a dose; before the first one that is the empty container, too."""
@@ -105,8 +112,12 @@ class ClosedBracket:
     doses: Nets
     closes: bool
     difference_mg: float
-    """What the container has gained by the bare pan, less what was dosed."""
+    """What the container has gained by the bare pan, less what was dosed; of several visits the largest."""
     detail: str
+    lasted_s: Durations = field(default_factory=lambda: MappingProxyType({}))
+    """How long the doses took to come, over all visits."""
+    is_discarded: bool = False
+    """It was thrown away, and what it holds is no dose of a sample that does not tell of it."""
 
 
 def _shifted(weighing: Gross, by_mg: float) -> Gross:

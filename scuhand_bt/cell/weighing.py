@@ -299,8 +299,8 @@ def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
 def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
     """Weigh what a dose has brought that broke off; nothing to do where none did, or that was weighed since.
 
-    `at_most`: the cone is as the dose left it. Then SkillFailed container.changed where more has come, or less, than
-    can have.
+    The container is given up where less has come than can have; where more has, too, if the cone is as the dose left it
+    (`at_most`).
     """
     believed, bracket = cell.believed, cell.believed.bracket
     if bracket is None or not believed.dosing.is_unweighed:
@@ -310,13 +310,14 @@ def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
     gained, _ = dose_between(((bracket.last, bracket.last), (now, now)), cell.spec.balance.readability_mg)
     cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))
     least_mg, most_mg = possible_mg(cell, AGREEMENT * gained.uncertainty_mg)
-    if at_most and not least_mg <= gained.mass_mg <= most_mg:
-        raise SkillFailed(
-            Code.CONTAINER_CHANGED,
-            f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg, "
-            f"and {least_mg:.1f} to {most_mg:.1f} mg can have come",
-        )
-    believed.reweighed(gained, now)
+    if least_mg <= gained.mass_mg and (gained.mass_mg <= most_mg or not at_most):
+        believed.reweighed(gained, now)
+        return
+    possible = f"{least_mg:.1f} to {most_mg:.1f} mg" if at_most else f"no less than {least_mg:.1f} mg"
+    believed.container_given_up(
+        f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg, "
+        f"and {possible} can have come"
+    )
 
 
 def take_container_away(cell: Cell, to: Container | None = None) -> Steps[StableMean]:
@@ -377,7 +378,9 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
     since = {lot: total((net, crept)) for lot, net in zip(bracket.doses, closed.doses, strict=True)}
     adjusted = {lot: total(nets[lot] for nets in (bracket.carried, since) if lot in nets) for lot in bracket.holds}
     closes, detail = closed.closes and not stood_still, STOOD_STILL if stood_still else _in_words(closed)
-    believed.bracket_closed(ClosedBracket(bracket.container, adjusted, closes, closed.difference_mg, detail))
+    believed.bracket_closed(
+        ClosedBracket(bracket.container, adjusted, closes, closed.difference_mg, detail, bracket.lasted_s)
+    )
     cell.record.event(
         BracketClosed(
             container=bracket.container,

@@ -101,7 +101,7 @@ def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[N
     full = [standing(zero, after, digit_mg)]
     if before.value_mg - bare.value_mg > CHANGED_MG:  # it was not on its way already
         full.append(standing(zero, weighing_of(before), digit_mg))
-    empty = bracket.empty or standing(bracket.bare, bracket.loaded, digit_mg)
+    empty = bracket.weighed_empty(digit_mg)
     found = _found(cell, held(empty, full), bracket)
     is_same = found.is_possible
     if was_dosing or not is_same:

@@ -76,14 +76,13 @@ class SampleResults:
         was dosed into a container by another job than its sample's is no sample's dose.
         """
         believed = self._cell.believed
-        last_word = {closed.container: closed for closed in believed.closed}
         on_pan = believed.bracket.container if believed.bracket is not None else None
         noted: dict[str, SampleResult] = {}
         for closed in believed.closed:
             name, _, number = closed.container.partition("#")
             owner, attempt = self._owners.get(name), int(number or 1)
             result = self.by_id.get(owner) if owner is not None else None
-            if closed.closes and (closed.container == on_pan or last_word[closed.container] is not closed):
+            if closed.closes and closed.container == on_pan:
                 believed.noted(closed)  # it has come again, and what it holds is told when it goes
                 continue
             if owner is not None and ((owner, attempt) == waiting or result is None):
@@ -133,5 +132,10 @@ def _broke_off(failure: SkillFailed | None, seen_mg: float) -> SkillFailed:
 
 
 def _tells_of(closed: ClosedBracket, result: SampleResult) -> bool:
-    """Whether something came into the container, whether a dose of its sample tells of it or not."""
-    return bool(closed.doses) or any(dose.container == closed.container for dose in result.doses)
+    """Whether something came into the container, whether a dose of its sample tells of it or not.
+
+    Of one that was thrown away only what its sample still tells of counts.
+    """
+    return bool(closed.doses and not closed.is_discarded) or any(
+        dose.container == closed.container for dose in result.doses
+    )

@@ -1,0 +1,124 @@
+"""A container that is put on the pan again in its sample: what it holds is known, or it is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from py_trees.common import Status
+from running import HEAD, Ran, Watching, dry_run, make_lab, shared_planner
+
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.journal.reader import read
+from scuhand_bt.lab import load_lab
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.resume import checked_history, resumable
+from scuhand_bt.run.session import Session
+from scuhand_bt.run.simulation import DryRun
+
+PLACE = """
+    - place_container: {container: %s}
+    - tare:"""
+FILL = """
+    - fill: {source: $source, container: %s, mass: %s, tolerance: $tolerance}
+    - park:"""
+END = """
+    - return_leftover: {source: $source}
+    - park:
+"""
+
+
+def workflow(*steps: str) -> str:
+    inputs = "{source: Source, first: Container, spare: Container, mass: Mass, tolerance: Mass}"
+    return f"workflow: again\ninputs: {inputs}\ntree:\n  sequence:{''.join(steps)}{END}"
+
+
+def again_lab(
+    tmp_path: Path, *steps: str, kind: str = "xrd_holder", mass: str = "50 mg", slots: int = 24
+) -> tuple[Path, Path]:
+    """A lab with this workflow, and a recipe for it."""
+    lab, recipe = make_lab(tmp_path / "lab", trees__again=workflow(*steps)), tmp_path / "recipe.yaml"
+    cell = lab / "robot" / "cell.yaml"
+    cell.write_text(cell.read_text().replace("slots: 24", f"slots: {slots}"))
+    sample = f"{{id: a, source: beads, first: {kind}, spare: {kind}, mass: {mass}, tolerance: 4 mg}}"
+    recipe.write_text(f"recipe: again\nworkflow: again\nsamples: [{sample}]\non_failure: {{otherwise: flag}}\n{HEAD}")
+    return lab, recipe
+
+
+def again(tmp_path: Path, *steps: str, **kinds: Any) -> Ran:
+    lab, recipe = again_lab(tmp_path, *steps, **kinds)
+    return dry_run(tmp_path, recipe.read_text(), lab=lab, controller="adaptive")
+
+
+FIRST, SPARE = PLACE % "$first", PLACE % "$spare"
+HALF, WHOLE, OF_SPARE = (FILL % what for what in (("$first", "$mass / 2"), ("$first", "$mass"), ("$spare", "$mass")))
+DISCARD = "\n    - discard_container:"
+
+
+def test_a_container_that_was_thrown_away_makes_nothing_of_the_sample_that_is_in_the_next_one(tmp_path: Path) -> None:
+    """What it held was told as a dose that broke off."""
+    ran = again(tmp_path, FIRST, WHOLE, DISCARD, SPARE, OF_SPARE)
+    had = ran.sample("a")
+    assert (had.is_good, had.detail, [dose.container for dose in had.doses]) == (True, None, ["a/spare"])
+
+
+def test_a_container_that_was_thrown_away_with_powder_in_it_does_not_come_again(tmp_path: Path) -> None:
+    """Whether what is brought is another one, empty, nobody knows."""
+    ran = again(tmp_path, FIRST, HALF, DISCARD, FIRST, WHOLE)
+    had = ran.sample("a")
+    assert (had.code, had.is_good) == ("container.changed", False)
+    assert had.detail == "'a/first' was on the pan before: it was thrown away"
+
+
+def test_a_container_that_is_put_back_where_it_stands_may_weigh_what_it_has_got(tmp_path: Path) -> None:
+    """2 g are more than crucibles differ by: it was taken for a wrong one."""
+    ran = again(tmp_path, FIRST, WHOLE, FIRST, WHOLE, kind="alumina_crucible", mass="2 g")
+    had = ran.sample("a")
+    assert (had.is_good, had.detail) == (True, None)
+    assert had.doses[0].lasted_s > 15.0, "the first visit's, which brought nearly all of it, too"
+    assert had.dispensed_mg == pytest.approx(ran.session.world.masses_mg["container:a/first"], abs=0.6)
+
+
+def test_a_container_whose_changer_was_filled_again_meanwhile_does_not_come_again(tmp_path: Path) -> None:
+    """An empty one would come of the slot that is next, and be told to hold what the former got."""
+    ran = again(tmp_path, FIRST, HALF, SPARE, OF_SPARE, FIRST, WHOLE, slots=1)
+    had = ran.sample("a")
+    assert (had.code, had.is_good) == ("container.changed", False)
+    assert "filled again" in str(had.detail)
+
+
+class StopsAsItWaits(Watching):
+    """Stops the run in a `wait`."""
+
+    def ticked(self, root: Any) -> None:
+        assert self.session is not None
+        if any(node.name == "wait" and node.status is Status.RUNNING for node in root.iterate()):
+            self.session.control.wish("stop_now")
+
+
+def test_an_outage_in_a_second_visit_finds_what_the_first_has_brought(tmp_path: Path) -> None:
+    """It was taken for a part of the empty container, which held less then than it can."""
+    lab, path = again_lab(tmp_path, FIRST, HALF, SPARE, FIRST, "\n    - wait: {duration: 1 min}", WHOLE)
+    loaded = load_lab(lab)
+    plan = make_plan(load_recipe(path, loaded), loaded)
+    found, result = None, None
+    for watching in (StopsAsItWaits(), Watching()):
+        session = Session(
+            plan, loaded, Options(DryRun(), "adaptive", tmp_path / "runs"), shared_planner(plan, loaded), resumes=found
+        )
+        watching.session = session
+        try:
+            result = session.run(watching)
+        finally:
+            session.close()
+        if found is None:
+            assert result.exit_code == ExitCode.INTERRUPTED
+            journal = session.journal.path
+            found = resumable(journal, checked_history(journal), plan, loaded, accept_changes=False)
+    assert result is not None
+    (had,) = result.samples
+    (told,) = (row["payload"] for row in read(journal, "event") if row["kind"] == "container_reweighed")
+    assert (told["counts"], told["held_mg"]) == (True, pytest.approx(25.0, abs=2.0))
+    assert (had.is_good, [dose.lot for dose in had.doses]) == (True, ["glass_beads"])
+    assert had.dispensed_mg == pytest.approx(session.world.masses_mg["container:a/first"], abs=0.6)
