@@ -130,7 +130,7 @@ class Believed(BelievedPowder):
             raise ValueError("no container stands on the pan")
         bracket = Bracket(self.pan.id, bare, loaded, loaded)
         if (before := self.had_gone(self.pan.id)) is not None:
-            lot = next(reversed(before.doses), "")  # what an outage finds in it before another dose is of that
+            lot = next(reversed([*before.doses]), "")  # what an outage finds in it before another dose is of that
             bracket = replace(bracket, lot=lot, carried=before.doses, lasted_s=before.lasted_s)
         self._set(pan_gross_mg=loaded.gross_mg, bracket=bracket, given_up="")
 
