@@ -95,9 +95,6 @@ def _believes_what_arrived() -> None:
     sample_results.SampleResults.note_open_brackets = lambda one: None  # type: ignore[method-assign]
     session.settle_outage = settles  # type: ignore[assignment]
     weighing.possible_mg = anything
-    import scuhand_bt.skill as sdk
-
-    sdk.possible_mg = anything  # type: ignore[attr-defined]
 
 
 def _redo_collides() -> None:
