@@ -261,7 +261,6 @@ class Dispense(Skill[Dose]):
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)
         yield from weigh_broken_off(cell, at_most=True)
-        require_unchanged(cell)
 
     def request(self, cell: Cell) -> DoseRequest:
         """What its controller is asked for, by what is known of powder, balance and hand now."""

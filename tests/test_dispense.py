@@ -536,6 +536,9 @@ def test_a_container_that_weighs_less_after_a_dose_broke_off_is_another_one(rig:
         with pytest.raises(SkillFailed, match=r"has gained -30\.0 mg") as failed:
             rig.bench.drive(rig.skill(skill, **inputs).run(rig.cell))
         assert failed.value.code == "container.changed"
+    if skill == "dispense":
+        assert believed.bracket is not None, "a resumed run may find that it was the balance"
+        return
     with pytest.raises(SkillFailed, match="was on the pan before: since it was last weighed"):
         rig.bench.drive(rig.skill("place_container", container=DISH).run(rig.cell))
     assert [closed.closes for closed in believed.closed] == [False]

@@ -299,8 +299,9 @@ def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
 def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
     """Weigh what a dose has brought that broke off; nothing to do where none did, or that was weighed since.
 
-    The container is given up where less has come than can have; where more has, too, if the cone is as the dose left it
-    (`at_most`).
+    The container is given up where less has come than can have. `at_most`: the cone is as the dose left it. Then
+    SkillFailed container.changed where more has come, or less, and nothing is given up: a run that is resumed may find
+    by the bare pan that it was the balance.
     """
     believed, bracket = cell.believed, cell.believed.bracket
     if bracket is None or not believed.dosing.is_unweighed:
@@ -314,10 +315,11 @@ def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
         believed.reweighed(gained, now)
         return
     possible = f"{least_mg:.1f} to {most_mg:.1f} mg" if at_most else f"no less than {least_mg:.1f} mg"
-    believed.container_given_up(
-        f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg, "
-        f"and {possible} can have come"
-    )
+    gain = f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg"
+    why = f"{gain}, and {possible} can have come"
+    if at_most:
+        raise SkillFailed(Code.CONTAINER_CHANGED, why)
+    believed.container_given_up(why)
 
 
 def take_container_away(cell: Cell, to: Container | None = None) -> Steps[StableMean]:
