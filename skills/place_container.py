@@ -101,6 +101,7 @@ class PlaceContainer(Skill[None]):
         """The container on the pan; what the pan weighed bare before it came."""
         yield from self._refill(cell)
         bare = yield from take_container_away(cell, self.container)
+        self._require_known(cell)  # it may be the one that went, and have shown just then that it was changed
         yield from watched(cell, cell.changer.bring(self.container), weighing_of(bare))
         return bare
 
