@@ -259,8 +259,10 @@ CATALOGUE: Mapping[str, Failure] = {
         ("run",),
     ),
     Code.DOSE_NOT_REACHED: Failure(
-        "The dose stopped outside its tolerance: no dose takes more openings, longer, or more loads in vain.",
+        "The dose stopped outside its tolerance, as no dose takes more openings, longer, or more loads in vain; or it "
+        "broke off.",
         "See that the mortar holds powder, and none bridges; controller `adaptive` gives up in time for another scoop.",
+        ("run",),
     ),
     Code.DOSE_TOO_SMALL: Failure(
         "The target or its tolerance is below what the balance can tell.",

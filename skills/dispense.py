@@ -92,7 +92,6 @@ class Dispense(Skill[Dose]):
 
     raises = (
         Code.BALANCE_COARSE,
-        Code.CONTAINER_CHANGED,
         Code.CONTAINER_MISSING,
         Code.CONTAINER_TOO_SMALL,
         Code.DOSE_NOT_REACHED,

@@ -13,7 +13,7 @@ class Tare(Skill[Milligrams]):
     What is in it already, also of a dose that broke off, is of its doses still.
     """
 
-    raises = (Code.CONTAINER_CHANGED, Code.CONTAINER_MISSING)
+    raises = (Code.CONTAINER_MISSING,)
     devices = ("balance",)
     typical_s = 1.0
     interrupted = "repeat"
