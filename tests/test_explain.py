@@ -93,9 +93,7 @@ def test_a_constant_that_the_catalogue_has_not_is_told_where(lab_folder: LabFold
 
 @pytest.mark.parametrize("raises", ['("hand.cone_emty",)', '"hand.cone_empty"'])
 def test_what_a_skill_says_that_it_raises_is_checked(lab_folder: LabFolder, raises: str) -> None:
-    lab_folder.replace(
-        "skills/tare.py", "raises = (Code.CONTAINER_MISSING,)", f"raises = {raises}"
-    )
+    lab_folder.replace("skills/tare.py", "raises = (Code.CONTAINER_MISSING,)", f"raises = {raises}")
     (problem,) = lab_folder.problems()
     assert "'raises' of Tare is wrong" in problem
 
