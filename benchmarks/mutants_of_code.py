@@ -70,6 +70,7 @@ TARGETS = (
     Target("load", "scuhand_bt/cell/load.py", (), ("believed",)),
     Target("unseen", "scuhand_bt/dosing/unseen.py", (), ("dosing_knowledge", "rare_readings")),
     Target("weighing", "scuhand_bt/cell/weighing.py", (), ("weighing", "zero_steps")),
+    Target("pan_cleared", "scuhand_bt/cell/pan_cleared.py", (), ("weighing", "container_again", "zero_steps")),
     Target("outcome", "scuhand_bt/run/outcome.py", (), ("outcome",)),
     Target(
         "dispense", "skills/dispense.py", ("Dispense.run", "Dispense._dose", "Dispense._raise_failure"), ("dispense",)

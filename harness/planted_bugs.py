@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from scuhand_bt.api import interrupted, past
-from scuhand_bt.cell import weighing
+from scuhand_bt.cell import pan_cleared
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cli import run as cli_run
 from scuhand_bt.exit_codes import ExitCode
@@ -94,7 +94,7 @@ def _believes_what_arrived() -> None:
     sample_results.confirmed = sample_results.doubted = lambda result, *told: result  # type: ignore[assignment]
     sample_results.SampleResults.note_open_brackets = lambda one: None  # type: ignore[method-assign]
     session.settle_outage = settles  # type: ignore[assignment]
-    weighing.possible_mg = anything
+    pan_cleared.possible_mg = anything
 
 
 def _redo_collides() -> None:

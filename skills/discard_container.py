@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from scuhand_bt.cell.weighing import take_container_away
+from scuhand_bt.cell.pan_cleared import take_container_away
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, ContainerDiscarded, Forecast, Skill, Steps
 

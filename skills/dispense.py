@@ -9,18 +9,9 @@ from pydantic import AfterValidator, Field
 from scuhand_bt.cell.believed import LAST_LOADS
 from scuhand_bt.cell.believed_powder import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
+from scuhand_bt.cell.pan_cleared import SCOOP_DOUBT, STOOD_STILL, stands_still, weigh_broken_off
 from scuhand_bt.cell.places import over_balance
-from scuhand_bt.cell.weighing import (
-    PAUSE_S,
-    SCOOP_DOUBT,
-    STOOD_STILL,
-    note_moved,
-    require_unchanged,
-    stands_still,
-    weigh_broken_off,
-    weigh_until_still,
-    weighing_of,
-)
+from scuhand_bt.cell.weighing import PAUSE_S, note_moved, require_unchanged, weigh_until_still, weighing_of
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DEFAULT_CONTROLLER, DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import (

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from scuhand_bt.cell.believed import is_used_up
+from scuhand_bt.cell.pan_cleared import take_container_away
 from scuhand_bt.cell.weighing import (
     changed,
     is_to_be_weighed_again,
     note_again,
     require_known_delay,
     shown_step,
-    take_container_away,
     watched,
     weigh_changed,
     weighing_of,

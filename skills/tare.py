@@ -1,6 +1,7 @@
 """The software tare: the stable gross before the first powder."""
 
-from scuhand_bt.cell.weighing import require_unchanged, weigh_broken_off, weigh_until_still, weighing_of
+from scuhand_bt.cell.pan_cleared import weigh_broken_off
+from scuhand_bt.cell.weighing import require_unchanged, weigh_until_still, weighing_of
 from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, Tared
 
 STILL_DIGITS = 2.0

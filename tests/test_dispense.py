@@ -395,7 +395,7 @@ def test_a_dose_that_took_too_many_steps_is_not_reached(rig: Rig) -> None:
 def test_what_a_balance_that_is_not_believed_shows_of_a_dose_is_said_though_it_is_none(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scuhand_bt.cell.weighing.is_frozen", lambda readings_mg, digit_mg: True)
+    monkeypatch.setattr("scuhand_bt.cell.pan_cleared.is_frozen", lambda readings_mg, digit_mg: True)
     with pytest.raises(SkillFailed, match=r"balance\.coarse: .*; it shows 50\.0 mg in the container, which are no"):
         rig.dispense(50.0)
 

@@ -11,16 +11,10 @@ from dose_bench import DISH, MORTAR, shipped_powders
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.pan_cleared import SCOOP_DOUBT, possible_mg, take_container_away
 from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.cell.right_of_way import RightOfWay
-from scuhand_bt.cell.weighing import (
-    SCOOP_DOUBT,
-    possible_mg,
-    take_container_away,
-    weigh_changed,
-    weigh_until_still,
-    weighing_of,
-)
+from scuhand_bt.cell.weighing import weigh_changed, weigh_until_still, weighing_of
 from scuhand_bt.clock import Steps, T, Wake
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean

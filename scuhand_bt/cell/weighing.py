@@ -6,39 +6,25 @@ from collections.abc import Sequence
 from contextlib import closing
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell.pan_bracket import ClosedBracket
-from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.clock import Steps, Wake, pause
-from scuhand_bt.devices.interfaces import Hands, Reading, StableMean
+from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import (
-    AGREEMENT,
     SURELY,
-    Closed,
     Gross,
-    Net,
     apart_mg,
-    close,
     differ_mg,
-    dose_between,
     moved_mg,
     standing,
-    total,
 )
-from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, is_frozen, step_of
-from scuhand_bt.dosing.hidden_step import hidden_step_mg
+from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
 from scuhand_bt.dosing.identification import balance_of, is_linear, is_unlike
 from scuhand_bt.events.weighings import (
     BalanceAdapts,
     BalanceChanged,
     BalanceSlower,
-    BracketClosed,
     ContainerAgain,
-    ContainerLifted,
-    LotDosed,
-    Reweighed,
 )
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.specs import Container
 
 PATIENCE_S = 60.0
 """So long two weighings in a row may go on differing."""
@@ -55,11 +41,8 @@ CHANGED_MG = 50.0
 """Every container weighs more, and no draught pushes so hard."""
 SLOWER = 1.25
 """Times a known delay: a balance that shows a step later is not set as it was."""
-SCOOP_DOUBT = 0.15
-"""How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
 DROP_S = 30.0
 """Powder that drips from a valve that was shut does so once in this time."""
-STOOD_STILL = "the display stood still for longer than its noise allows: what came meanwhile nobody has seen"
 QUICK_S, QUICK_READINGS, CREEPS = 8.0, 18, 0.15
 """A balance that has called itself stable so soon, or in so few readings, does not creep; a slower one does, for that
 share of the time."""
@@ -280,153 +263,3 @@ def require_unchanged(cell: Cell) -> None:
     """SkillFailed container.changed where the container that was on the pan counts no more."""
     if cell.believed.given_up:
         raise SkillFailed(Code.CONTAINER_CHANGED, cell.believed.given_up)
-
-
-def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
-    """Least and most that can have come into the container since it was last weighed: nothing goes back.
-
-    Nothing comes but from the cone, while a dose is not weighed yet: what that is believed to hold, and what a scoop
-    may bring more. `chance_mg` is how far the weighings may be apart by themselves.
-    """
-    believed = cell.believed
-    if not believed.dosing.is_unweighed:
-        return -chance_mg, chance_mg
-    source = cell.sources.get(believed.cone_source or "")
-    doubt_mg = SCOOP_DOUBT * source.powder.load_limit_mg if source is not None else 0.0
-    return -chance_mg, believed.seen_mg + believed.cone_mg + doubt_mg + chance_mg
-
-
-def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
-    """Weigh what a dose has brought that broke off; nothing to do where none did, or that was weighed since.
-
-    The container is given up where less has come than can have. `at_most`: the cone is as the dose left it. Then
-    SkillFailed container.changed where more has come, or less, and nothing is given up: a run that is resumed may find
-    by the bare pan that it was the balance.
-    """
-    believed, bracket = cell.believed, cell.believed.bracket
-    if bracket is None or not believed.dosing.is_unweighed:
-        return
-    mean = yield from cell.right_of_way.stable_mean()
-    now = weighing_of(mean)
-    gained, _ = dose_between(((bracket.last, bracket.last), (now, now)), cell.spec.balance.readability_mg)
-    cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))
-    least_mg, most_mg = possible_mg(cell, AGREEMENT * gained.uncertainty_mg)
-    if least_mg <= gained.mass_mg and (gained.mass_mg <= most_mg or not at_most):
-        believed.reweighed(gained, now)
-        return
-    possible = f"{least_mg:.1f} to {most_mg:.1f} mg" if at_most else f"no less than {least_mg:.1f} mg"
-    gain = f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg"
-    why = f"{gain}, and {possible} can have come"
-    if at_most:
-        raise SkillFailed(Code.CONTAINER_CHANGED, why)
-    believed.container_given_up(why)
-
-
-def take_container_away(cell: Cell, to: Container | None = None) -> Steps[StableMean]:
-    """Clear the pan, for the container that comes next, and weigh it bare: that closes the bracket about what was
-    dosed into the one before.
-
-    Whether it closes is for the batch to say of its sample. A person who does it is not reached by the arm: it stands
-    still. SkillFailed arm.in_the_way where it stands over the pan.
-    """
-    if (aside_mm := cell.aside_of_pan_mm()) < CLEAR_MM:
-        raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")
-    taking = cell.right_of_way.unshaken(_taken_away(cell, to))
-    bare = yield from cell.right_of_way.undisturbed(taking) if cell.changer.needs_person else taking
-    return bare
-
-
-def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
-    believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
-    lifted, stood_still = None, False
-    yield from weigh_broken_off(cell)
-    bracket = believed.bracket
-    if bracket is not None and bracket.holds and bracket.lifted is None:
-        lifted = yield from cell.right_of_way.stable_mean()
-        stood_still = stands_still(cell)
-        believed.lifted(weighing_of(lifted))
-        cell.record.event(ContainerLifted(**dict(lifted.written()), container=bracket.container))
-        yield from cell.record.kept()  # before the container goes
-        # What has dripped, or a force that grows with the container, and did while it was dosed.
-        crept = Net(0.0, note_moved(cell, bracket.last, weighing_of(lifted)))
-    was_mg = believed.pan_gross_mg
-    bracket = believed.bracket
-    container = believed.pan
-    believed.changing_container()
-    if to is not None and bracket is not None and isinstance(cell.changer, Hands):
-        bare = yield from _handed_over(cell, cell.changer, to, bracket.bare.gross_mg, was_mg)
-        took_s = cell.clock.now_s
-    else:
-        taking = cell.changer.take_away()
-        yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
-        took_s = cell.clock.now_s
-        bare = yield from weigh_changed(cell, was_mg)
-    if lifted is not None and container is not None and is_to_be_weighed_again(cell):
-        back, _ = yield from changed(cell, cell.changer.bring(container), bare)
-        again, _ = yield from changed(cell, cell.changer.take_away(), back)
-        note_again(cell, container.id, (bare, lifted), again, back)
-    believed.removed()
-    if bracket is None or bracket.lifted is None:
-        believed.bracket_closed(None)
-        return bare
-    went = shown_step(cell, bracket.lifted, weighing_of(bare), took_s)
-    if went is not None and cell.came is not None:
-        believed.zero_stepped(hidden_step_mg(cell.came, went, digit_mg))
-    doses = list(bracket.doses.values())
-    drifted = [bracket.drifted.get(lot, Net(0.0, 0.0)) for lot in bracket.doses]
-    weighings = (bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare))
-    closed = close(doses, drifted, bracket.drift, *weighings, digit_mg)
-    believed.zero_stepped(max(0.0, -closed.stepped_mg))
-    since = {lot: total((net, crept)) for lot, net in zip(bracket.doses, closed.doses, strict=True)}
-    adjusted = {lot: total(nets[lot] for nets in (bracket.carried, since) if lot in nets) for lot in bracket.holds}
-    closes, detail = closed.closes and not stood_still, STOOD_STILL if stood_still else _in_words(closed)
-    believed.bracket_closed(
-        ClosedBracket(bracket.container, adjusted, closes, closed.difference_mg, detail, bracket.lasted_s)
-    )
-    cell.record.event(
-        BracketClosed(
-            container=bracket.container,
-            net_mg=closed.net.mass_mg,
-            uncertainty_mg=closed.net.uncertainty_mg,
-            difference_mg=closed.difference_mg,
-            allowance_mg=closed.allowance_mg,
-            zero_mg=closed.zero_mg,
-            closes=closes,
-            doses={lot: LotDosed(net_mg=n.mass_mg, uncertainty_mg=n.uncertainty_mg) for lot, n in adjusted.items()},
-            bare=bare.written(),
-        )
-    )
-    return bare
-
-
-def stands_still(cell: Cell) -> bool:
-    """Whether the display is frozen."""
-    return is_frozen([reading.value_mg for reading in cell.readings.copy()], cell.spec.balance.readability_mg)
-
-
-def _handed_over(cell: Cell, hands: Hands, to: Container, bare_mg: float, was_mg: float | None) -> Steps[StableMean]:
-    """The pan as a person has cleared it for the next container; again where that stood there before it was weighed."""
-
-    def is_bare() -> bool:
-        reading = cell.balance.latest
-        return reading is not None and abs(reading.value_mg - bare_mg) < CHANGED_MG
-
-    yield from hands.hand_over(to, is_bare)
-    bare = yield from weigh_changed(cell, was_mg)
-    if abs(bare.value_mg - bare_mg) < CHANGED_MG:
-        return bare
-    yield from hands.clear()
-    bare = yield from cell.right_of_way.stable_mean()
-    return bare
-
-
-def _in_words(closed: Closed) -> str:
-    if closed.stepped_mg != 0.0:
-        return (
-            f"the bare pan shows {closed.zero_mg:+.2f} mg against before the container: the balance's zero has moved, "
-            "or its display holds what it shows"
-        )
-    return (
-        f"by the bare pan before and after it the container has gained {closed.net.mass_mg:.2f} mg, "
-        f"{closed.difference_mg:+.2f} mg against what was dosed; {closed.allowance_mg:.2f} mg are allowed"
-    )
