@@ -8,10 +8,11 @@ from py_trees.common import Status
 from running import HEAD, Ran, Watching, dry_run, make_lab, shared_planner
 
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.report.powder_balance import powder_balance
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
@@ -69,6 +70,20 @@ def test_a_container_that_was_thrown_away_with_powder_in_it_does_not_come_again(
     had = ran.sample("a")
     assert (had.code, had.is_good) == ("container.changed", False)
     assert had.detail == "'a/first' was on the pan before: it was thrown away"
+
+
+def test_what_a_dose_has_brought_that_broke_off_is_in_the_books(tmp_path: Path) -> None:
+    """The report had it as not booked."""
+    fill = "{source: $source, container: $first, mass: $mass, tolerance: $tolerance}"
+    broken_off = f"\n    - optional: {{child: {{timeout: {{duration: 25 s, child: {{fill: {fill}}}}}}}}}\n    - park:"
+    ran = again(tmp_path, FIRST, broken_off, SPARE, OF_SPARE, kind="alumina_crucible", mass="2 g")
+    spare = next(dose for dose in ran.sample("a").doses if dose.container == "a/spare")
+    assert ran.session.world is not None
+    broke_off_mg = ran.session.world.masses_mg["container:a/first"]
+    with open_contents(ran.journal) as contents:
+        beads = next(one for one in powder_balance(contents) if one.name == "beads")
+    assert broke_off_mg > 100.0
+    assert beads.dosed_mg == pytest.approx(spare.dispensed_mg + broke_off_mg, abs=1.0)
 
 
 def test_a_container_that_is_put_back_where_it_stands_may_weigh_what_it_has_got(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 from scuhand_bt.events.cell import Discarded, Refilled, Returned, Scooped, SheetSwapped
+from scuhand_bt.events.weighings import BracketClosed, DoseBegun, LotDosed
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.run_events import Matter, RunBegun
@@ -58,6 +59,9 @@ def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
     """The balance of every source of a run, in the recipe's order."""
     found: dict[str, SourceBalance] = {}
     believed: Mapping[str, Any] = {}
+    of_lots: dict[tuple[str, str], str] = {}
+    """The source that was dosed from, by container and lot."""
+    closed: dict[tuple[str, str], LotDosed] = {}
     sheet = 1
     for row in contents.rows("entry"):
         match event := parsed(row["kind"], row["payload"]):
@@ -75,6 +79,10 @@ def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
                 one.start_mg += event.mass_mg
             case SheetSwapped():
                 sheet = event.sheets_used
+            case DoseBegun() if (pan := believed.get("pan")) is not None:
+                of_lots[pan["id"], event.lot] = believed["cone_source"]
+            case BracketClosed():
+                closed |= {(event.container, lot): dosed for lot, dosed in event.doses.items()}
             case Matter():
                 for name, one in found.items():
                     one.truly_left_mg = event.model_extra.get(f"source:{name}") if event.model_extra else None
@@ -91,8 +99,15 @@ def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
     weighings = list(weighing_rows(contents))
     # An old journal has only what the skill said of a dose, and nothing that was adjusted to the bare pan.
     said = "result" if any(row["weighing"] == "result" for row in weighings) else "dose"
-    for row in weighings:
-        if row["weighing"] == said and (source := found.get(str(row.get("source")))) is not None:
-            source.dosed_mg += cast(float, row["net_mg"])
-            source.dosed_variance_mg2 += cast(float, row["standard_uncertainty_mg"]) ** 2
+    came = {
+        (str(row["container"]), str(row["source"])): (row["net_mg"], row["standard_uncertainty_mg"])
+        for row in weighings
+        if row["weighing"] == said and row.get("source") is not None
+    }
+    for (container, lot), dosed in closed.items():  # of a dose that broke off no sample tells
+        came.setdefault((container, of_lots.get((container, lot), "")), (dosed.net_mg, dosed.uncertainty_mg))
+    for (_, name), (net_mg, u_mg) in came.items():
+        if (source := found.get(name)) is not None:
+            source.dosed_mg += cast(float, net_mg)
+            source.dosed_variance_mg2 += cast(float, u_mg) ** 2
     return list(found.values())
