@@ -8,6 +8,7 @@ from conftest import Bench, wait_until
 
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.journal.events import JobEnded
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.problems import SourceError
 from scuhand_bt.report.watching import tree_of
@@ -189,6 +190,62 @@ def test_who_watches_sees_when_a_retry_begins_its_child_no_more(
         now.look()
         assert [node.state for node in tree_of(now) if node.name == "retry"] == [state], until_s
         assert bool(now.given_up) == (state == "failed"), "of a round before is nothing known any more"
+
+
+HALTED = {
+    "between two rounds": "repeat: {times: 9, child: {hand: {duration: 1 s}}}",
+    "in a round": "repeat: {times: 9, child: {sequence: [{hand: {duration: 1 s}}, {work: {duration: 4 s}}]}}",
+    "between two attempts": "retry: {attempts: 9, child: {fail: {after: 1 s}}}",
+}
+
+
+@pytest.mark.parametrize("loop", HALTED.values(), ids=HALTED)
+@pytest.mark.parametrize("around", ["parallel: [{%s}, {fail: {after: 3 s}}]", "timeout: {duration: 3 s, child: {%s}}"])
+def test_what_is_ended_from_outside_does_not_go_on_for_who_watches(
+    bench: Bench, tmp_path: Path, around: str, loop: str
+) -> None:
+    """Neither while something goes on beside it, nor when its job is over, which is as its outcome says."""
+    tree = around % loop
+    bench.run(f"parallel: [{{arm: {{duration: 30 s}}}}, {{optional: {{{tree}}}}}]", SKILLS)
+    kind, within = tree.split(":")[0], loop.split(":")[0]
+    for until_s in (2.5, 3.5, 29.0):
+        now = Follower(tmp_path / "journal.sqlite", until_s=until_s)
+        now.look()
+        states = [(node.name, node.state) for node in tree_of(now) if node.name in ("arm", kind, within)]
+        failed = [("parallel", "running"), ("arm", "running"), (kind, "failed"), (within, "skipped")]
+        going_on = [("parallel", "running"), ("arm", "running"), (kind, "running"), (within, "running")]
+        expected = going_on if until_s < 3.0 else failed
+        assert states == [one for one in expected if kind == "parallel" or one[0] != "parallel"], until_s
+    now = Follower(tmp_path / "journal.sqlite")
+    now.look()
+    now.job_ended = JobEnded(outcome="done")
+    states = [(node.name, node.state) for node in tree_of(now)]
+    assert states[:3] == [("parallel", "done"), ("arm", "done"), ("optional", "done")]
+    assert states[3:5] == [(kind, "failed"), (within, "skipped")]
+
+
+@pytest.mark.parametrize(
+    ("outcome", "states"),
+    [("done", ["done"] * 5), ("failed", ["failed", "skipped", "done", "skipped", "done"])],
+)
+def test_a_loop_that_is_over_beside_what_went_on_is_as_its_job_came_out(
+    bench: Bench, tmp_path: Path, outcome: str, states: list[str]
+) -> None:
+    bench.run("sequence: [{parallel: [{arm: }, {repeat: {times: 2, child: {hand: {duration: 5 s}}}}]}]", SKILLS)
+    now = Follower(tmp_path / "journal.sqlite")
+    now.look()
+    now.job_ended = JobEnded(outcome=outcome)
+    assert [node.state for node in tree_of(now)] == states
+
+
+def test_of_an_interrupted_job_all_that_is_not_over_is_to_come(bench: Bench, tmp_path: Path) -> None:
+    bench.run("sequence: [{work: }, {optional: {sequence: [{arm: }, {hand: {duration: 9 s}}]}}]", SKILLS)
+    now = Follower(tmp_path / "journal.sqlite", until_s=3.0)
+    now.look()
+    now.job_ended = JobEnded(outcome="interrupted")
+    now.actions[max(now.actions)].outcome = "interrupted"
+    states = [node.state for node in tree_of(now)]
+    assert states == ["to come", "done", "to come", "to come", "done", "to come"]
 
 
 def test_repeat_runs_its_child_so_many_times(bench: Bench) -> None:

@@ -1,10 +1,11 @@
 """What a run shows in another terminal than its own, or on a page: the same picture, from its journal."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
-from scuhand_bt.journal.events import TreeNode
+from scuhand_bt.journal.events import JobEnded, TreeNode
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.pace import time_left_s
 from scuhand_bt.journal.run_events import RunBegun
@@ -17,6 +18,8 @@ _TURNED = {("invert", "done"): "failed", ("invert", "failed"): "done", ("optiona
 """What a decorator makes of the state below it."""
 _BEGINS_AGAIN = {("retry", "failed"), ("repeat", "done"), ("for_each", "done")}
 """Decorators that go on after what is below them has come to this."""
+_ENDED = {"done": "done", "interrupted": "to come"}
+"""The state of a tree by its job's outcome; by any other it has failed."""
 
 
 def shown_of(now: Follower, run: RunBegun, balance: tuple[float, float, bool] | None = None) -> Shown:
@@ -87,10 +90,10 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
     """A leaf's state is its last action's; that of a node above, of the last that acted below it.
 
     What stands behind the leaf at work, or the last that was, not beside it, and acted before it, is to come again.
-    What stands before the last that acted, and did not act itself, was passed by. While a job goes on, what is above
-    others is what they make of it: a sequence is not done before the last of it, also while nothing acts. One that
-    begins anew what is below it is over when something else has acted since, or the journal says so of a `retry`: how
-    often it may is not there.
+    What stands before the last that acted, and did not act itself, was passed by. What is above others is what they
+    make of it: a sequence is not done before the last of it, also while nothing acts. One that begins anew what is
+    below it is over when something else has acted since, when what is above it is, or the journal says so of a `retry`:
+    how often it may is not there.
     """
     last = {one.path: (seq, one) for seq, one in now.actions.items()}
     at_work = [place for place, node in enumerate(drawn) if node.path in last and last[node.path][1].outcome is None]
@@ -121,9 +124,9 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
         if failed is not None:
             return "failed", str(failed)
         if not acted:
-            is_passed = now.job_ended is not None or (place < reached and not _is_beside(drawn, place, reached))
+            is_passed = place < reached and not _is_beside(drawn, place, reached)
             return ("skipped" if is_passed else "to come"), ""
-        if len(below) > 1 and now.job_ended is None:
+        if len(below) > 1:
             children = [nodes[place + k].state for k, one in enumerate(below) if one.depth == node.depth + 1]
             state = _above(node.name, children)
             is_over = node.path in now.given_up or is_left(place, below)
@@ -131,14 +134,28 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
             return ("running" if begins_again else state), ""
         _, one = max(acted, key=lambda pair: pair[0])
         state = _STATES.get(one.outcome, "to come")
-        why = str(one.failure) if one.failure is not None and len(below) == 1 else ""
-        return _TURNED.get((node.name, state), state), why
+        return state, str(one.failure) if one.failure is not None else ""
 
     for place in reversed(range(len(drawn))):
         deep = drawn[place].depth
         end = next((k for k in range(place + 1, len(drawn)) if drawn[k].depth <= deep), len(drawn))
         nodes[place] = Node(deep, drawn[place].name, *state_of(place, drawn[place:end]))
-    return [nodes[place] for place in range(len(drawn))]
+    return list(_ended_with_what_is_above((nodes[place] for place in range(len(drawn))), now.job_ended))
+
+
+def _ended_with_what_is_above(nodes: Iterable[Node], ended: JobEnded | None) -> Iterator[Node]:
+    """Nothing goes on below what is over: of what is done it is done, else it was halted, or is not come to any more."""
+    above = list[str]()
+    for node in nodes:
+        state = node.state
+        del above[node.depth :]
+        if not above:
+            state = state if ended is None else _ENDED.get(ended.outcome, "failed")
+        elif state in ("running", "to come") and above[-1] != "running":
+            passed = "to come" if above[-1] == "to come" else "skipped"
+            state = "done" if (above[-1], state) == ("done", "running") else passed
+        above.append(state)
+        yield replace(node, state=state)
 
 
 def _above(name: str, children: Sequence[str]) -> str:
