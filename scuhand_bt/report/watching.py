@@ -144,7 +144,7 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
 
 
 def _ended_with_what_is_above(nodes: Iterable[Node], ended: JobEnded | None) -> Iterator[Node]:
-    """Nothing goes on below what is over: of what is done it is done, else it was halted, or is not come to any more."""
+    """Nothing goes on below what is over: of what is done it is done, else it was halted, or is not come to."""
     above = list[str]()
     for node in nodes:
         state = node.state
