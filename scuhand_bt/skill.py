@@ -175,7 +175,10 @@ class Skill(BaseModel, Generic[R]):
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
-        """What to expect; `inputs` holds those fields whose values are known before the run."""
+        """What to expect; `inputs` holds those fields whose values are known before the run.
+
+        Of a skill that doses, with hand and balance, it holds as `source` the one that was named last before it.
+        """
         return Forecast(cls.typical_s)
 
     @classmethod

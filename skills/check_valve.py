@@ -19,7 +19,7 @@ class CheckValve(Skill[Millimetres]):
         )
     }
     raises = ("hand.valve_zero",)
-    typical_s = 10.0
+    typical_s = 3.0
     interrupted = "repeat"
 
     opening_mm: Millimetres = 1.0

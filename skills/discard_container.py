@@ -13,7 +13,7 @@ class DiscardContainer(Skill[None]):
 
     devices = ("changer", "balance")
     zones = ("pan",)
-    typical_s = 9.0
+    typical_s = 19.0
     interrupted = "repeat"
 
     @classmethod

@@ -1,8 +1,9 @@
 """A dose: powder from the cone's apex into the container on the balance, by a dosing controller."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
@@ -12,6 +13,7 @@ from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.pan_cleared import SCOOP_DOUBT, STOOD_STILL, stands_still, weigh_broken_off
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import PAUSE_S, note_moved, require_unchanged, weigh_until_still, weighing_of
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DEFAULT_CONTROLLER, DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import (
@@ -27,6 +29,7 @@ from scuhand_bt.dosing.bracket import (
     watch_s,
 )
 from scuhand_bt.dosing.characteristic import held_mg
+from scuhand_bt.dosing.forecast import dose_s, full_flow_s
 from scuhand_bt.dosing.hidden_step import fallen_beside_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.quantity import counted
@@ -37,6 +40,7 @@ from scuhand_bt.skill import (
     Dose,
     DoseBegun,
     DoseWeighed,
+    Forecast,
     Milligrams,
     Skill,
     SkillFailed,
@@ -104,6 +108,15 @@ class Dispense(Skill[Dose]):
     may_scoop_again: bool = False
     """What calls it scoops anew on hand.cone_empty: the last of the dose is not shaken out of the rest of a load."""
 
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        source, mass_mg, tolerance_mg = (inputs.get(name) for name in ("source", "mass", "tolerance"))
+        if not (isinstance(source, Source) and mass_mg and tolerance_mg):
+            return Forecast(cls.typical_s)
+        powder = source.powder
+        widest_mm = min(powder.widest_mm(inputs.get("controller") or DEFAULT_CONTROLLER), cell.hand.max_opening_mm)
+        return Forecast(dose_s(mass_mg, tolerance_mg, powder, widest_mm))
+
     def run(self, cell: Cell) -> Steps[Dose]:
         require_unchanged(cell)
         bracket = cell.believed.bracket
@@ -142,7 +155,8 @@ class Dispense(Skill[Dose]):
             later = later_mg(bracket.bare, bracket.loaded, others, digit_mg)
         reference = Reference(before, drift, bracket.dosed_mg(lot), digit_mg, later)
         request = self.request(cell)
-        then = replace(before, time_s=before.time_s + FINE_S + self._flow_s(request))
+        flow_s = full_flow_s(request.target_mg, request.powder, request.max_opening_mm)
+        then = replace(before, time_s=before.time_s + FINE_S + flow_s)
         request = replace(request, uncertainty_mg=reference.uncertainty_mg(then))
         controller = new_controller(self.controller or cell.controller, request)
         believed.dosing_towards(self.mass_mg, lot, before)
@@ -198,13 +212,6 @@ class Dispense(Skill[Dose]):
         if fell_mg > least_mg and cell.came is not None:
             fell_mg = min(fell_mg, fallen_beside_mg(times_s, readings_mg, cell.came))
         return fell_mg if fell_mg > least_mg else 0.0
-
-    @staticmethod
-    def _flow_s(request: DoseRequest) -> float:
-        """How long the target takes at full flow."""
-        powder = request.powder
-        gap_mm = max(request.max_opening_mm - powder.threshold_mm, 0.1)
-        return request.target_mg / (powder.coefficient * gap_mm**powder.exponent)
 
     @staticmethod
     def _require_readability(cell: Cell, run: DoseRun, shown_mg: float) -> None:

@@ -7,7 +7,7 @@ class Tour(Skill[None]):
     """Move the arm to every place that has no powder under it, and back to its park station."""
 
     devices = ("arm",)
-    typical_s = 15.0
+    typical_s = 3.0
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:

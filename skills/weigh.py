@@ -13,7 +13,7 @@ class Weigh(Skill[Weighed]):
 
     raises = (Code.CONTAINER_MISSING,)
     devices = ("balance",)
-    typical_s = 6.0
+    typical_s = 1.0
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Weighed]:

@@ -68,6 +68,12 @@ def test_what_is_no_night_is_refused(text: str) -> None:
         read_night(text)
 
 
+def test_a_night_that_ends_when_it_begins_is_refused() -> None:
+    """It was taken for 24 hours."""
+    with pytest.raises(SourceError, match="'20:00-20:00' ends when it begins"):
+        read_night("20:00-20:00")
+
+
 def test_a_sample_behind_a_moment_that_needs_a_person_is_not_done(plan: Plan, desk: Desk) -> None:
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
     found = {fate.sample: fate.why for fate in fates(plan, odds, read_night("20:00-08:00"))}

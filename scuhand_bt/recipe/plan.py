@@ -11,6 +11,7 @@ from scuhand_bt.dosing.ladle import Ladle
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe.demand import Demand, demand_of, discarded_mg, needed_mg
+from scuhand_bt.recipe.flow import DOSING
 from scuhand_bt.recipe.known import is_known, known
 from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
@@ -303,6 +304,8 @@ class _Forecaster:
         self._library: Library = lab.library
         self._services: dict[tuple[str, str], list[_Expected]] = {}
         """Of what is done between samples, by its workflow and source."""
+        self._named: Source | None = None
+        """The source that a job has named last: of its powder the next dose is."""
 
     def of_job(self, job: Job) -> list[_Expected]:
         if job.sample is not None:
@@ -313,6 +316,7 @@ class _Forecaster:
         return self._services[key]
 
     def _of_job(self, job: Job) -> list[_Expected]:
+        self._named = None
         return self._of_workflow(self._library.workflows[job.workflow], dict(job.inputs))
 
     def duration_s(self, sample: Sample) -> float:
@@ -345,6 +349,7 @@ class _Forecaster:
             count = 1 if times is None else int(known(node.arguments, scope, self._library).get("times", 1))
             return [expected.repeated(count) for expected in self._of(node.child, scope)]
         inputs = known(node.arguments, scope, self._library, node)
+        self._named = next((value for value in inputs.values() if isinstance(value, Source)), self._named)
         if node.name in self._library.skills:
             return [self._of_skill(node, inputs)]
         return self._of_workflow(self._library.workflows[node.name], inputs)
@@ -358,8 +363,11 @@ class _Forecaster:
         return [expected for within in rounds for expected in self._of(node.child, within)]
 
     def _of_skill(self, node: Call, inputs: dict[str, Any]) -> _Expected:
+        skill = self._library.skills[node.name]
+        if self._named is not None and DOSING.issubset(skill.devices):
+            inputs = {"source": self._named, **inputs}
         try:
-            forecast = self._library.skills[node.name].forecast(inputs, self._lab.cell)
+            forecast = skill.forecast(inputs, self._lab.cell)
             return _Expected(forecast.duration_s, forecast.person, node.mark, forecast.descent)
         except (Exception, SystemExit) as error:  # the lab's own code
             what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"

@@ -43,7 +43,7 @@ class Fate:
 
 
 def read_night(text: str) -> Night:
-    """`20:00-08:00`; SourceError for anything else."""
+    """`20:00-08:00`; SourceError for anything else, and for one that ends when it begins."""
     found = re.fullmatch(r"\s*(\d{1,2}:\d\d)\s*[-–]\s*(\d{1,2}:\d\d)\s*", text)
     try:
         begins, ends = (datetime.strptime(part, "%H:%M") for part in found.groups()) if found else (None, None)
@@ -51,6 +51,8 @@ def read_night(text: str) -> Night:
         begins = ends = None
     if begins is None or ends is None:
         raise SourceError([Problem(Mark("--night", 0), f"'{text}' is no night; such as 20:00-08:00")])
+    if begins == ends:
+        raise SourceError([Problem(Mark("--night", 0), f"'{text}' ends when it begins; such as 20:00-08:00")])
     return Night(begins, ends if ends > begins else ends + timedelta(days=1))
 
 
