@@ -104,6 +104,19 @@ def test_a_sample_that_ends_too_late_is_not_done(desk: Desk) -> None:
     assert done == [True, True, False, False], "the second ends after 20 minutes, give or take some"
 
 
+def test_no_sample_is_done_before_one_that_comes_before_it(desk: Desk) -> None:
+    """Of dry runs that differ at first the second sample was done by 20:18, and the first perhaps not at 20:20."""
+    plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
+    found = []
+    for first_s in (100.0, 300.0, 900.0):
+        whole = trial_of(plan, 300.0)
+        began_s = dict(zip(whole.began_s, (0.0, first_s, 1000.0, 1010.0, 1020.0), strict=True))
+        found.append(replace(whole, began_s=began_s, duration_s=1030.0))
+    fate, *others = fates(plan, odds_of(plan, found), read_night("20:00-20:20"))
+    assert (fate.why, [one.why for one in others]) == ("it may take longer", ["it may take longer"] * 3)
+    assert {one.done_s for one in others} == {fate.done_s}
+
+
 def test_an_order_that_lets_more_be_done_is_named(plan: Plan, desk: Desk) -> None:
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
     said = list(in_words(plan, desk.lab, odds, NIGHT, lambda made: tried(made, 600.0)))

@@ -57,12 +57,16 @@ def read_night(text: str) -> Night:
 
 
 def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
-    """Each sample in its order: done by then, or why not. What needs a person stops all that comes after it."""
+    """Each sample in its order: done by then, or why not. What needs a person stops all that comes after it.
+
+    None is done before those that come before it are, however few trials tell of it.
+    """
     needed: dict[str, list[str]] = {}
     for person in plan.persons:
         if person.job is not None:
             needed.setdefault(person.job, []).append(person.what)
     waits: str | None = None
+    done_s = 0.0
     names = [job.name for job in plan.jobs]
     for job, following in zip(plan.jobs, [*names[1:], None], strict=True):
         if waits is None and job.name in needed:
@@ -80,7 +84,8 @@ def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
             yield Fate(job.name, None, f"in {of} a person was asked for something before its end")
         else:
             ended = odds.duration_s if following is None else odds.began_s[following]
-            yield Fate(job.name, ended.high, "it may take longer" if ended.high > night.lasts_s else None)
+            done_s = max(done_s, ended.high)
+            yield Fate(job.name, done_s, "it may take longer" if done_s > night.lasts_s else None)
 
 
 def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Plan | None:
