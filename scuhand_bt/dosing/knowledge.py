@@ -169,9 +169,7 @@ class Knowledge:
     def predicted(self) -> tuple[float, float]:
         """Mean and standard deviation [mg] of what will have left once the valve is shut, if it is told to now."""
         means, variances = self.bank.coming(powers(*self.valve.closing(0.0)))
-        mean_mg = float(self.bank.weights @ means)
-        variances = variances / self.bank.erratic + (means - mean_mg) ** 2
-        return mean_mg, math.sqrt(float(self.bank.weights @ variances))
+        return self.bank.over_all(means, variances / self.bank.erratic)
 
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
         """What was predicted when the valve was told to shut, against what is known after the look.
@@ -189,6 +187,11 @@ class Knowledge:
         """No more may leave: a stable mean would call it too much."""
         spare_mg = self.request.tolerance_mg - COVERAGE * self.uncertainty_mg
         return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
+
+    @property
+    def room_mg(self) -> float:
+        """What may leave beside what has left."""
+        return self.most_mg - self.bank.mass_mg
 
     @property
     def least_mg(self) -> float:
@@ -324,7 +327,7 @@ class Knowledge:
     def _may_come(self, gap_mm: float) -> bool:
         """Whether no more than may come leaves an opening so far above the threshold until it is answered."""
         passes = self.valve.passes(self.shape.threshold_mm + gap_mm, LEAST_HOLD_S + SLACK_S)
-        return self.strongest * passes < self.most_mg - self.bank.mass_mg
+        return self.strongest * passes < self.room_mg
 
     @property
     def knows_balance(self) -> bool:

@@ -8,12 +8,8 @@ phi is what the flow follows, q = k phi(D), with the threshold D0 [mm] and expon
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
-
-Wait = TypeVar("Wait", float, NDArray[np.float64])
 
 GRAIN_S = 0.02
 """The integral of phi is taken in pieces of about this length."""
@@ -112,8 +108,8 @@ class ValvePath:
         phi_s, slope_s = (ways + held).tolist()
         return phi_s, slope_s
 
-    def closing(self, wait_s: Wait) -> tuple[Wait, Wait]:
+    def closing(self, wait_s: float) -> tuple[float, float]:
         """The integrals of phi and its slope until it is shut, if it is told to in `wait_s`."""
         phi, slope = self.shape.value(self.opening_mm), self.shape.slope(self.opening_mm)
         slope_s = slope * (self._dead_time_s + wait_s) + phi / self._speed_mm_per_s
-        return self.shape.closing(self.opening_mm, self._dead_time_s, self._speed_mm_per_s) + phi * wait_s, slope_s
+        return self.passes(self.opening_mm, wait_s), slope_s
