@@ -95,16 +95,6 @@ class _Step(NamedTuple):
     lags: NDArray[np.intp]
     """(H,) by how many readings models run behind."""
 
-    @classmethod
-    def of(cls, delays_s: Array, pure: Array, damping: Array, dt_s: float) -> "_Step":
-        still, adds = transitions(delays_s, pure, damping, dt_s)
-        return cls(still, adds[:, :K, None], np.rint(pure * delays_s / dt_s).astype(np.intp))
-
-    def seeing(self, late: Array) -> Array:
-        """(H, 5, 5) the transitions, where models see these integrals (2, H) of phi and its slope."""
-        np.multiply(self.adds, late.T[:, None, :], out=self.over[:, :K, K:])
-        return self.over
-
 
 class Bank:
     """The filters side by side, H of them: weights (H,), states (H, 5), covariances (H, 5, 5)."""
@@ -164,7 +154,9 @@ class Bank:
     def _step(self, dt_s: float) -> _Step:
         dt_s = round(dt_s, 3)
         if dt_s not in self._step_of:
-            self._step_of[dt_s] = _Step.of(self.delays_s, self.pure, self._damping, dt_s)
+            still, adds = transitions(self.delays_s, self.pure, self._damping, dt_s)
+            lags = np.rint(self.pure * self.delays_s / dt_s).astype(np.intp)
+            self._step_of[dt_s] = _Step(still, adds[:, :K, None], lags)
         return self._step_of[dt_s]
 
     def _late(self, row: Row, step: _Step) -> Array:
@@ -189,7 +181,8 @@ class Bank:
             self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
         step = self._step(dt_s)
         late = self._late(row, step)
-        k, phi_s, f = self._x[:, K], late[0], step.seeing(late)
+        k, phi_s, f = self._x[:, K], late[0], step.over
+        np.multiply(step.adds, late.T[:, None, :], out=f[:, :K, K:])
         x = np.matmul(f, self._x[:, :, None])[:, :, 0]
         p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
         masses, spread, shown = p[:, MASS, MASS], p[:, K, K], p[:, READING, READING]

@@ -26,7 +26,7 @@ from scuhand_bt.dosing.estimation import (
 from scuhand_bt.dosing.identification import Row, balance_by, with_found
 from scuhand_bt.dosing.noise import Noise
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
-from scuhand_bt.dosing.verdict import COVERAGE, acceptance_mg, judge
+from scuhand_bt.dosing.verdict import acceptance_mg, judge
 from scuhand_bt.specs import PowderBelief, Verdict
 
 SLOWER = 0.7
@@ -185,7 +185,7 @@ class Knowledge:
     @property
     def most_mg(self) -> float:
         """No more may leave: a stable mean would call it too much."""
-        spare_mg = self.request.tolerance_mg - COVERAGE * self.uncertainty_mg
+        spare_mg = acceptance_mg(self.request.tolerance_mg, self.uncertainty_mg)
         return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
 
     @property
@@ -196,7 +196,7 @@ class Knowledge:
     @property
     def least_mg(self) -> float:
         """The mass that a stable mean would call in tolerance."""
-        return self.request.target_mg - self.request.tolerance_mg + COVERAGE * self.uncertainty_mg
+        return self.request.target_mg - acceptance_mg(self.request.tolerance_mg, self.uncertainty_mg)
 
     @property
     def aim_mg(self) -> float:
@@ -272,7 +272,8 @@ class Knowledge:
             self.error_mm = OPENING_ERROR_MM
         # Openings that bring little tell something together.
         before_mg, before_phi_s, before_s = self._told_of
-        gained_mg, phi_s, open_s = before_mg + gained_mg, before_phi_s + phi_s, before_s + self._open_s
+        open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
+        gained_mg, phi_s, open_s = before_mg + gained_mg, before_phi_s + phi_s, before_s + open_s
         self._told_of = gained_mg, phi_s, open_s
         if max(gained_mg, self.reference * phi_s) < least_mg:
             return
@@ -307,11 +308,6 @@ class Knowledge:
         width = self.shape.exponent * OPENING_ERROR_MM / gap_mm
         lumps = 2.0 * self.surge_mg / (self.reference * phi_s)
         return DIFFERS**2 / (DIFFERS**2 + width**2 + lumps)
-
-    @property
-    def _open_s(self) -> float:
-        """How long powder could come since the valve was told to open."""
-        return sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
 
     def little_came(self) -> None:
         """From the last opening: the powder needs more than so narrow a one.
