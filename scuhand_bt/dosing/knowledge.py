@@ -26,7 +26,7 @@ from scuhand_bt.dosing.estimation import (
 from scuhand_bt.dosing.identification import Row, balance_by, with_found
 from scuhand_bt.dosing.noise import Noise
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
-from scuhand_bt.dosing.verdict import acceptance_mg, judge
+from scuhand_bt.dosing.verdict import COVERAGE, acceptance_mg, judge
 from scuhand_bt.specs import PowderBelief, Verdict
 
 SLOWER = 0.7
@@ -196,7 +196,7 @@ class Knowledge:
     @property
     def least_mg(self) -> float:
         """The mass that a stable mean would call in tolerance."""
-        return self.request.target_mg - acceptance_mg(self.request.tolerance_mg, self.uncertainty_mg)
+        return self.request.target_mg - self.request.tolerance_mg + COVERAGE * self.uncertainty_mg
 
     @property
     def aim_mg(self) -> float:
