@@ -167,9 +167,10 @@ class Bank:
         now = self._passed[:, -1:] + ((row.phi_s,), (row.slope_s,))
         passed = self._passed = np.concatenate((self._passed, now), axis=1)
         at = passed.shape[1] - 1 - step.lags
-        seen = passed.take(at, axis=1, mode="clip")
+        seen: Array = passed.take(at, axis=1, mode="clip")
+        before: Array = passed.take(at - 1, axis=1, mode="clip")
         self._unseen = now - seen
-        return seen - passed.take(at - 1, axis=1, mode="clip")
+        return seen - before
 
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
