@@ -79,7 +79,7 @@ EMPTY_S, DRY_S = 8.0, 60.0
 SCOOPED_ANEW_S = 3.0
 """The same for what is in any case to be scooped for again: less is left than is missing, and has stopped to come."""
 
-Ended = Seen | Literal["dry", "rest", "long"]
+Ended = Seen | Literal["dry", "long"]
 """Why an opening ended."""
 
 
@@ -147,7 +147,7 @@ class Adaptive:
         """What an opening and its look have told."""
         known = self._known
         gained_mg = known.bank.mass_mg - known.begin_mg
-        if not self._wants_fresh:
+        if known.room_mg <= FAR_MG and self._given_up != "empty":  # else a fresh load brings the rest sooner
             self._note_gain()
         expected_mg = known.reference * sum(row.phi_s for row in known.rows)
         came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), CAME_NOISES * known.noise.quiet_mg)
@@ -179,41 +179,33 @@ class Adaptive:
         known.uncertainty_mg = max(known.uncertainty_mg, seen.uncertainty_mg)
         return seen
 
-    def _is_dry(self) -> bool:
-        mass_mg = self._known.bank.mass_mg
-        if self._given_up(mass_mg) != "empty":
-            may_scoop = self._known.request.may_scoop_again and self._has_flowed
-            return self._barren_s > (EMPTY_S if may_scoop and self._known.most_mg - mass_mg > FAR_MG else DRY_S)
-        left_mg = self._known.request.cone_mg - (mass_mg - self._start_mg)
-        is_too_little = self._has_come and self._known.most_mg - mass_mg > max(left_mg, FAR_MG)
-        # Of lumps so short a bridge would pass for the end, with more than half of the load behind it.
-        return self._barren_s > (SCOOPED_ANEW_S if is_too_little and not self._is_lumpy else EMPTY_S)
+    def _gave_out(self) -> Reason | None:
+        """Why the dose does not go on out of this load, if it does not."""
+        request, room_mg = self._known.request, self._known.room_mg
+        has_flowed = request.came_mg + self._dosed_mg > FLOWED_SHARE * (request.came_mg + request.cone_mg)
+        may_scoop = request.may_scoop_again and has_flowed
+        if self._given_up != "empty":
+            dry_s = EMPTY_S if may_scoop and room_mg > FAR_MG else DRY_S
+        else:
+            is_too_little = self._has_come and room_mg > max(request.cone_mg - self._dosed_mg, FAR_MG)
+            # Of lumps so short a bridge would pass for the end, with more than half of the load behind it.
+            dry_s = SCOOPED_ANEW_S if is_too_little and not self._is_lumpy else EMPTY_S
+        if self._barren_s > dry_s:
+            return self._given_up
+        comes_only_shaken = self._vibration > request.powder.vibration
+        return "rest" if may_scoop and comes_only_shaken and room_mg < LAST_MG else None
+
+    @property
+    def _given_up(self) -> Reason:
+        return self._known.request.given_up(self._dosed_mg)
+
+    @property
+    def _dosed_mg(self) -> float:
+        return self._known.bank.mass_mg - self._start_mg
 
     @property
     def _is_lumpy(self) -> bool:
         return self._known.bank.surge_mg > LUMPY_MG
-
-    def _gave_out(self) -> Reason | None:
-        """Why the dose does not go on out of this load, if it does not."""
-        if self._is_dry():
-            return self._given_up(self._known.bank.mass_mg)
-        return "rest" if self._is_rest else None
-
-    @property
-    def _is_rest(self) -> bool:
-        """Whether the last of the dose is at hand, and the load has flowed and comes only shaken."""
-        request = self._known.request
-        is_near = self._known.most_mg - self._known.bank.mass_mg < LAST_MG
-        return request.may_scoop_again and is_near and self._vibration > request.powder.vibration and self._has_flowed
-
-    @property
-    def _has_flowed(self) -> bool:
-        """Whether the load has, not only in this dose."""
-        request, dosed_mg = self._known.request, self._known.bank.mass_mg - self._start_mg
-        return request.came_mg + dosed_mg > FLOWED_SHARE * (request.came_mg + request.cone_mg)
-
-    def _given_up(self, mass_mg: float) -> Reason:
-        return self._known.request.given_up(mass_mg - self._start_mg)
 
     def _look(self, rest_mg: float) -> Generator[Command, Observation, None]:
         """Valve shut: until the balance has shown what there is but for `rest_mg`."""
@@ -235,24 +227,16 @@ class Adaptive:
         while True:
             hold_s = opening.hold_s(width_mm := opening.width_mm())
             score = yield from known.act(width_mm, self._vibration, hold_s)
-            may_be_slower = not self._has_come and bank.surge_mg < LUMPY_MG and most_mg - bank.mass_mg > FAR_MG
+            may_be_slower = not self._has_come and not self._is_lumpy and most_mg - bank.mass_mg > FAR_MG
             if (seen := opening.see(score, is_first=may_be_slower)) is not None:
                 return seen
             if self._vibration >= FULL:
                 self._barren_s += min(known.rows[-1].dt_s, hold_s)
             self._note_gain()
-            if self._is_dry():
+            if self._gave_out() is not None:
                 return "dry"
-            if self._is_rest:
-                return "rest"
             if known.time_s - self._weighed_s > LONGEST_UNWEIGHED_S:
                 return "long"
-
-    @property
-    def _wants_fresh(self) -> bool:
-        """Whether a fresh load brings the rest sooner than what still comes of this one."""
-        mass_mg = self._known.bank.mass_mg
-        return self._known.most_mg - mass_mg > FAR_MG or self._given_up(mass_mg) == "empty"
 
     def _note_gain(self) -> None:
         """Whether powder has come: after short openings most is seen when the valve is shut."""
@@ -265,7 +249,7 @@ class Adaptive:
         """What an opening should bring where lumps are shaken out singly; 0 elsewhere."""
         known = self._known
         surge_mg, left_mg = known.bank.surge_mg, known.aim_mg - known.bank.mass_mg
-        if surge_mg < LUMPY_MG or left_mg > LUMPS_LEFT * surge_mg + 1.0:
+        if not self._is_lumpy or left_mg > LUMPS_LEFT * surge_mg + 1.0:
             return 0.0
         return LUMP_SHARE * max(surge_mg, left_mg / LAST_LUMPS)
 
@@ -275,12 +259,11 @@ class Adaptive:
         Where powder has come, and comes no more, sooner than where the sheet may still stick.
         """
         self._fruitless = 0 if came else self._fruitless + 1
-        missing_mg = self._known.most_mg - self._known.bank.mass_mg
-        if missing_mg < SPARED_MG:
+        if self._known.room_mg < SPARED_MG:
             levels: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, GENTLE, GENTLE, GENTLE, FULL)
         elif not self._has_come:
             levels = (0.0, 0.0, GENTLE, FULL)
         else:
-            levels = (0.0, FULL) if missing_mg > FAR_MG else (0.0, GENTLE, FULL)
+            levels = (0.0, FULL) if self._known.room_mg > FAR_MG else (0.0, GENTLE, FULL)
         level = levels[min(self._fruitless, len(levels) - 1)]
         self._vibration = max(self._known.belief.vibration, level)

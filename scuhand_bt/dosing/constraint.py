@@ -15,7 +15,6 @@ or, where that is less harmful, for its spread until it has reached the aim, at 
 When to shut: for the next reading's time.
 """
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -37,9 +36,14 @@ NARROWEST_MM = 0.05
 
 def chance(bank: Bank, mean_mg: Array, variance: Array, most_mg: float) -> Array:
     """(...) probability of a mass above `most_mg` [mg], from its mean [mg] and variance [mg^2] by model, (..., H)."""
-    from scipy.special import erfc  # half a second, which not every command has to spend
+    return _chance_below(bank, (mean_mg - most_mg) / np.sqrt(variance))
 
-    return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)) @ bank.weights)
+
+def _chance_below(bank: Bank, deviations: Array) -> Array:
+    """(...) probability of what is less than each model's mean and so many standard deviations, (..., H)."""
+    from scipy.special import ndtr  # half a second, which not every command has to spend
+
+    return np.asarray(ndtr(deviations) @ bank.weights)
 
 
 class Choices(NamedTuple):
@@ -86,38 +90,23 @@ def widest_mm(
     nothing is in the powder's way. `known_gap_mm` is the opening above the threshold that the flow was seen at: what
     the powder's exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
     """
-    from scipy.special import erfc  # as above
-
     widest = max(max_opening_mm - shape.threshold_mm, narrowest_mm)
     choices = _choices(shape, narrowest_mm, widest, answered_s, speed_mm_per_s)
     mean_mg, variance = bank.coming(choices.way)
     flow, flow_variance = bank.flow(choices.flow)
     off = (EXPONENT_ERROR * np.log(choices.gaps_mm / known_gap_mm))[:, None] * flow
     variance += np.square(off * choices.open_s[:, None])
-    lasting = np.square(off, out=off)
-    lasting += flow_variance
-    lasting += np.square(UNSEEN_ERROR * flow)
+    lasting = np.square(off) + flow_variance + np.square(UNSEEN_ERROR * flow)
     walk = np.square(K_WALK_PER_S * reference * choices.phi)[:, None]
     lumps_mg = 2.0 * bank.surge_mg * flow
 
     def deviations(mean_mg: Array, unseen_s: Array) -> Array:
-        variances = walk * unseen_s  # in place: these are the largest arrays of a dose, at every reading
-        variances += lasting
-        variances *= unseen_s
-        variances += lumps_mg
-        variances *= unseen_s
-        variances *= bank.erratic
-        variances += variance
-        left = most_mg - mean_mg
-        left /= np.sqrt(variances, out=variances)
-        return left
+        unseen = ((walk * unseen_s + lasting) * unseen_s + lumps_mg) * unseen_s
+        return (mean_mg - most_mg) / np.sqrt(variance + bank.erratic * unseen)
 
     # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
     left_s = np.maximum(aim_mg - mean_mg, 0.0) / np.maximum(flow, 1e-9)
-    room = np.maximum(deviations(mean_mg, bank.delays_s), deviations(np.maximum(mean_mg, aim_mg), left_s))
-    room /= math.sqrt(2.0)
-    chances = erfc(room, out=room)
-    chances *= 0.5
-    allowed = np.flatnonzero(chances @ bank.weights <= RISK)
+    beyond = np.minimum(deviations(mean_mg, bank.delays_s), deviations(np.maximum(mean_mg, aim_mg), left_s))
+    allowed = np.flatnonzero(_chance_below(bank, beyond) <= RISK)
     opening_mm = shape.threshold_mm + float(choices.gaps_mm[allowed[-1] if len(allowed) else 0])
     return min(opening_mm, max_opening_mm)  # which the narrowest may be beyond

@@ -92,24 +92,8 @@ class _Step(NamedTuple):
     """(H, 5, 5) of `transitions`, with what k and g add by what was seen last."""
     adds: Array
     """(H, 3, 1) of `transitions`: to all but k and g themselves."""
-    lags: tuple[int, ...]
-    """By how many readings models run behind, each number once."""
-    of_lag: NDArray[np.intp]
-    """(H,) which of these is a model's."""
-
-    @classmethod
-    def of(cls, delays_s: Array, pure: Array, damping: Array, dt_s: float) -> "_Step":
-        still, adds = transitions(delays_s, pure, damping, dt_s)
-        lags, of_lag = np.unique(np.rint(pure * delays_s / dt_s).astype(int), return_inverse=True)
-        return cls(still, adds[:, :K, None], tuple(lags.tolist()), of_lag)
-
-    def of_some(self, kept: NDArray[np.bool_]) -> "_Step":
-        return self._replace(over=self.over[kept], adds=self.adds[kept], of_lag=self.of_lag[kept])
-
-    def seeing(self, late: Array) -> Array:
-        """(H, 5, 5) the transitions, where models see these integrals (2, H) of phi and its slope."""
-        np.multiply(self.adds, late.T[:, None, :], out=self.over[:, :K, K:])
-        return self.over
+    lags: NDArray[np.intp]
+    """(H,) by how many readings models run behind."""
 
 
 class Bank:
@@ -119,9 +103,9 @@ class Bank:
         """`weights` (H,) need not add up to 1."""
         self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
         """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
-        self.models, self.weights = list(models), weights / weights.sum()
-        self.delays_s = np.array([model.delay_s for model in self.models])
-        self._pure, self._damping = np.array([SHAPES[model.shape] for model in self.models]).T
+        self.weights = weights / weights.sum()
+        self.delays_s = np.array([model.delay_s for model in models])
+        self.pure, self._damping = np.array([SHAPES[model.shape] for model in models]).T
         self._step_of: dict[float, _Step] = {}
         self.temper = TEMPER
         """0 where how late the balance has been says nothing of how late it is when less comes."""
@@ -159,18 +143,20 @@ class Bank:
         p[np.ix_((READING, MASS), (READING, MASS))] = sd_mg**2
         self._most_sd = max(spread, LEAST_SPREAD)
         p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
-        many = len(self.models)
+        many = len(self.weights)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
         self._phi = np.zeros(many)  # of what each saw last
         self._unseen = np.zeros((2, many))  # integrals of phi and of its slope
         self._means, self._changing = [0.0, 0.0], 0.0
-        self._passed = [(0.0, 0.0)]  # both integrals, until each reading
+        self._passed = np.zeros((2, 1))  # both integrals, until each reading
         self._tell()
 
     def _step(self, dt_s: float) -> _Step:
         dt_s = round(dt_s, 3)
         if dt_s not in self._step_of:
-            self._step_of[dt_s] = _Step.of(self.delays_s, self._pure, self._damping, dt_s)
+            still, adds = transitions(self.delays_s, self.pure, self._damping, dt_s)
+            lags = np.rint(self.pure * self.delays_s / dt_s).astype(np.intp)
+            self._step_of[dt_s] = _Step(still, adds[:, :K, None], lags)
         return self._step_of[dt_s]
 
     def _late(self, row: Row, step: _Step) -> Array:
@@ -178,16 +164,13 @@ class Bank:
         for mean, over_s in enumerate(CHANGE_S):
             self._means[mean] += (row.phi_s / row.dt_s - self._means[mean]) * -math.expm1(-row.dt_s / over_s)
         self._changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
-        passed, count = self._passed, len(self._passed)
-        phi_s, slope_s = passed[-1][0] + row.phi_s, passed[-1][1] + row.slope_s
-        passed.append((phi_s, slope_s))
-        of_lags = []
-        for lag in step.lags:
-            ends, begins = passed[max(count - lag, 0)], passed[max(count - lag - 1, 0)]
-            of_lags.append((phi_s - ends[0], slope_s - ends[1], ends[0] - begins[0], ends[1] - begins[1]))
-        of_models = np.array(of_lags).T.take(step.of_lag, axis=1)
-        self._unseen = of_models[:2]
-        return of_models[2:]
+        now = self._passed[:, -1:] + ((row.phi_s,), (row.slope_s,))
+        passed = self._passed = np.concatenate((self._passed, now), axis=1)
+        at = passed.shape[1] - 1 - step.lags
+        seen: Array = passed.take(at, axis=1, mode="clip")
+        before: Array = passed.take(at - 1, axis=1, mode="clip")
+        self._unseen = now - seen
+        return seen - before
 
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
@@ -199,7 +182,8 @@ class Bank:
             self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
         step = self._step(dt_s)
         late = self._late(row, step)
-        k, phi_s, f = self._x[:, K], late[0], step.seeing(late)
+        k, phi_s, f = self._x[:, K], late[0], step.over
+        np.multiply(step.adds, late.T[:, None, :], out=f[:, :K, K:])
         x = np.matmul(f, self._x[:, :, None])[:, :, 0]
         p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
         masses, spread, shown = p[:, MASS, MASS], p[:, K, K], p[:, READING, READING]
@@ -239,9 +223,8 @@ class Bank:
         kept = weights > LEAST_LIKELY * np.maximum.reduce(weights)
         if np.count_nonzero(kept) < len(kept):
             weights = weights[kept]
-            self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
-            self.delays_s, self._pure, self._damping = self.delays_s[kept], self._pure[kept], self._damping[kept]
-            self._step_of = {dt_s: step.of_some(kept) for dt_s, step in self._step_of.items()}
+            self.delays_s, self.pure, self._damping = self.delays_s[kept], self.pure[kept], self._damping[kept]
+            self._step_of = {dt_s: _Step(*(part[kept] for part in step)) for dt_s, step in self._step_of.items()}
             self._x, self._p = self._x[kept], self._p[kept]
             self._phi, self._unseen = self._phi[kept], self._unseen[:, kept]
         self.weights = weights / np.add.reduce(weights)
@@ -251,36 +234,29 @@ class Bank:
         x, weights, (phi_s, slope_s) = self._x, self.weights, self._unseen
         self._left_mg = x[:, MASS] + x[:, K] * phi_s + x[:, G] * slope_s
         self._linear: tuple[Array, Array] | None = None
-        self._flow_sd: float | None = None
         means = np.maximum(self._left_mg, x[:, MASS])
-        behind = means - x[:, READING]
-        self._shown = means, behind
         self.mass_mg = float(weights @ means)
         """What has left the nozzle."""
         self.delay_s = float(weights @ self.delays_s)
         """The balance's mean delay."""
-        behind_mg = float(weights @ behind)
-        self.unseen_mg = abs(behind_mg) + 2.0 * math.sqrt(float(weights @ ((behind - behind_mg) ** 2)))
+        behind_mg, sd_mg = self.over_all(means - x[:, READING], 0.0)
+        self.unseen_mg = abs(behind_mg) + 2.0 * sd_mg
         """What has left and is not read yet, with twice what that may be off by."""
-        self.coefficient = float(weights @ x[:, K])
-        """k, in mg s^-1 mm^-n."""
+        self.coefficient, self.coefficient_sd = self.over_all(x[:, K], self._p[:, K, K])
+        """k, in mg s^-1 mm^-n, and its standard deviation."""
 
     # --- what is known ---
 
-    @property
-    def mass_sd_mg(self) -> float:
-        """The standard deviation of `mass_mg`, with what the models differ by."""
-        means, behind = self._shown
-        variances = np.maximum(self._way()[1][0] + (self.misfit * behind) ** 2, 0.0) * self.erratic
-        return math.sqrt(float(self.weights @ (variances + (means - self.mass_mg) ** 2)))
+    def over_all(self, means: Array, variances: Array | float) -> tuple[float, float]:
+        """Mean and standard deviation of what the models (H,) have these of, with what they differ by."""
+        mean = float(self.weights @ means)
+        return mean, math.sqrt(max(float(self.weights @ (variances + (means - mean) ** 2)), 0.0))
 
     @property
-    def coefficient_sd(self) -> float:
-        """The standard deviation of `coefficient`, with what the models differ by."""
-        if self._flow_sd is None:
-            variances = self._p[:, K, K] + (self._x[:, K] - self.coefficient) ** 2
-            self._flow_sd = math.sqrt(max(float(self.weights @ variances), 0.0))
-        return self._flow_sd
+    def mass_sd_mg(self) -> float:
+        """The standard deviation of `mass_mg`."""
+        _, sd_mg = self.over_all(*self.coming(powers(0.0, 0.0)))
+        return sd_mg
 
     def _way(self) -> tuple[Array, Array]:
         """(3, H) and (6, H): what means and variances are, by the terms of `powers`."""
@@ -291,11 +267,8 @@ class Bank:
             mass_k = seen_k + p_kk * phi_s + p_kg * slope_s
             mass_g = seen_g + p_kg * phi_s + p_gg * slope_s
             mass = p[:, MASS, MASS] + (seen_k + mass_k) * phi_s + (seen_g + mass_g) * slope_s + lumps * phi_s
-            left, variances = np.empty((3, len(k))), np.empty((6, len(k)))
-            left[0], left[1], left[2] = self._left_mg, k, self._x[:, G]
-            variances[0], variances[1], variances[2] = mass, 2.0 * mass_k + lumps, 2.0 * mass_g
-            variances[3], variances[4], variances[5] = p_kk, 2.0 * p_kg, p_gg
-            self._linear = left, variances
+            variances = np.array((mass, 2.0 * mass_k + lumps, 2.0 * mass_g, p_kk, 2.0 * p_kg, p_gg))
+            self._linear = np.array((self._left_mg, k, self._x[:, G])), variances
         return self._linear
 
     def coming(self, way: Array) -> tuple[Array, Array]:

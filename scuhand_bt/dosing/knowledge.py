@@ -169,9 +169,7 @@ class Knowledge:
     def predicted(self) -> tuple[float, float]:
         """Mean and standard deviation [mg] of what will have left once the valve is shut, if it is told to now."""
         means, variances = self.bank.coming(powers(*self.valve.closing(0.0)))
-        mean_mg = float(self.bank.weights @ means)
-        variances = variances / self.bank.erratic + (means - mean_mg) ** 2
-        return mean_mg, math.sqrt(float(self.bank.weights @ variances))
+        return self.bank.over_all(means, variances / self.bank.erratic)
 
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
         """What was predicted when the valve was told to shut, against what is known after the look.
@@ -187,8 +185,13 @@ class Knowledge:
     @property
     def most_mg(self) -> float:
         """No more may leave: a stable mean would call it too much."""
-        spare_mg = self.request.tolerance_mg - COVERAGE * self.uncertainty_mg
+        spare_mg = acceptance_mg(self.request.tolerance_mg, self.uncertainty_mg)
         return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
+
+    @property
+    def room_mg(self) -> float:
+        """What may leave beside what has left."""
+        return self.most_mg - self.bank.mass_mg
 
     @property
     def least_mg(self) -> float:
@@ -269,7 +272,8 @@ class Knowledge:
             self.error_mm = OPENING_ERROR_MM
         # Openings that bring little tell something together.
         before_mg, before_phi_s, before_s = self._told_of
-        gained_mg, phi_s, open_s = before_mg + gained_mg, before_phi_s + phi_s, before_s + self._open_s
+        open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
+        gained_mg, phi_s, open_s = before_mg + gained_mg, before_phi_s + phi_s, before_s + open_s
         self._told_of = gained_mg, phi_s, open_s
         if max(gained_mg, self.reference * phi_s) < least_mg:
             return
@@ -305,11 +309,6 @@ class Knowledge:
         lumps = 2.0 * self.surge_mg / (self.reference * phi_s)
         return DIFFERS**2 / (DIFFERS**2 + width**2 + lumps)
 
-    @property
-    def _open_s(self) -> float:
-        """How long powder could come since the valve was told to open."""
-        return sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
-
     def little_came(self) -> None:
         """From the last opening: the powder needs more than so narrow a one.
 
@@ -324,7 +323,7 @@ class Knowledge:
     def _may_come(self, gap_mm: float) -> bool:
         """Whether no more than may come leaves an opening so far above the threshold until it is answered."""
         passes = self.valve.passes(self.shape.threshold_mm + gap_mm, LEAST_HOLD_S + SLACK_S)
-        return self.strongest * passes < self.most_mg - self.bank.mass_mg
+        return self.strongest * passes < self.room_mg
 
     @property
     def knows_balance(self) -> bool:

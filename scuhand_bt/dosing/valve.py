@@ -8,12 +8,8 @@ phi is what the flow follows, q = k phi(D), with the threshold D0 [mm] and expon
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
-
-Wait = TypeVar("Wait", float, NDArray[np.float64])
 
 GRAIN_S = 0.02
 """The integral of phi is taken in pieces of about this length."""
@@ -48,11 +44,9 @@ class FlowShape:
 
     def closing(self, opening_mm: float, dead_time_s: float, speed_mm_per_s: float) -> float:
         """Integral of phi [mm^n s] from the command to shut until it is shut."""
-        gap_mm = opening_mm - self.threshold_mm
-        if gap_mm <= 0.0:
-            return 0.0
-        ramp = gap_mm ** (self.exponent + 1.0) / ((self.exponent + 1.0) * speed_mm_per_s)
-        return float(gap_mm**self.exponent * dead_time_s + ramp)
+        more = self.exponent + 1.0
+        ramp = max(opening_mm - self.threshold_mm, 0.0) ** more / (more * speed_mm_per_s)
+        return float(self.value(opening_mm) * dead_time_s + ramp)
 
 
 class ValvePath:
@@ -75,10 +69,9 @@ class ValvePath:
 
     def advance(self, from_s: float, to_s: float) -> tuple[float, float]:
         """Move on; the integrals of phi [mm^n s] and of its slope [mm^(n-1) s] over that time."""
-        pieces = max(1, round((to_s - from_s) / GRAIN_S))
+        moves = bool(self._commands) or self.opening_mm != self._going_to
+        pieces = max(1, round((to_s - from_s) / GRAIN_S)) if moves else 1
         dt_s = (to_s - from_s) / pieces
-        if not self._commands and self.opening_mm == self._going_to:
-            pieces, dt_s = 1, to_s - from_s
         phi_s = slope_s = 0.0
         for piece in range(pieces):
             end_s = from_s + (piece + 1) * dt_s
@@ -112,8 +105,8 @@ class ValvePath:
         phi_s, slope_s = (ways + held).tolist()
         return phi_s, slope_s
 
-    def closing(self, wait_s: Wait) -> tuple[Wait, Wait]:
+    def closing(self, wait_s: float) -> tuple[float, float]:
         """The integrals of phi and its slope until it is shut, if it is told to in `wait_s`."""
         phi, slope = self.shape.value(self.opening_mm), self.shape.slope(self.opening_mm)
         slope_s = slope * (self._dead_time_s + wait_s) + phi / self._speed_mm_per_s
-        return self.shape.closing(self.opening_mm, self._dead_time_s, self._speed_mm_per_s) + phi * wait_s, slope_s
+        return self.passes(self.opening_mm, wait_s), slope_s
