@@ -52,6 +52,7 @@ MODULES = tuple(
         "estimation",
         "identification",
         "pulses",
+        "shaking",
     )
 )
 FIRST_RUN = 1000

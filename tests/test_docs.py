@@ -180,7 +180,7 @@ STATE = {"READING", "RATE", "MASS", "K", "G"}
 """Numbers of rows, not figures."""
 LAW = (
     *("adaptive", "opening", "knowledge", "constraint", "estimation", "identification"),
-    *("unseen", "noise", "valve", "pulses"),
+    *("unseen", "noise", "valve", "pulses", "shaking"),
 )
 
 

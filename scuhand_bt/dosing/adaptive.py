@@ -26,9 +26,10 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
-from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
+from scuhand_bt.dosing.knowledge import Knowledge
 from scuhand_bt.dosing.opening import SURPRISE, Opening, Seen
 from scuhand_bt.dosing.pulses import pulses
+from scuhand_bt.dosing.shaking import FAR_MG, FULL, shaken
 
 MOST_OPENINGS = 200
 """Of a dose."""
@@ -50,12 +51,6 @@ LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, LAST_LUMPS = 0.7, 3.0, 0.12, 1.5
 one, or of what is missing where that is so many of them."""
 LUMPS_MISSED = 2.5
 """So many lumps should have been shaken out, and none has: so narrow an opening lets none through."""
-SPARED_MG = 20.0
-"""So near to the target a bridge is broken by shutting and opening the valve, while that helps: what is shaken loose
-may be too much."""
-FAR_MG = 200.0
-"""So far from the target whatever is shaken loose is welcome: a cone that gives nothing any more is shaken fully at
-once."""
 REST_MG = 0.3
 """The balance has seen what there is to see but for this."""
 LONGEST_LOOK_S = 25.0
@@ -254,16 +249,6 @@ class Adaptive:
         return LUMP_SHARE * max(surge_mg, left_mg / LAST_LUMPS)
 
     def _shake(self, came: bool) -> None:
-        """A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully.
-
-        Where powder has come, and comes no more, sooner than where the sheet may still stick.
-        """
         self._fruitless = 0 if came else self._fruitless + 1
-        if self._known.room_mg < SPARED_MG:
-            levels: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, GENTLE, GENTLE, GENTLE, FULL)
-        elif not self._has_come:
-            levels = (0.0, 0.0, GENTLE, FULL)
-        else:
-            levels = (0.0, FULL) if self._known.room_mg > FAR_MG else (0.0, GENTLE, FULL)
-        level = levels[min(self._fruitless, len(levels) - 1)]
+        level = shaken(self._fruitless, self._known.room_mg, has_come=self._has_come)
         self._vibration = max(self._known.belief.vibration, level)

@@ -47,8 +47,6 @@ SLACK_S = 0.1
 """Between a reading and the command that answers it."""
 LEAST_HOLD_S = 0.1
 """No opening is shorter."""
-GENTLE, FULL = 0.4, 1.0
-"""Levels of vibration."""
 WIDER, MOST_NARROWEST_MM = 1.4, 0.5
 """Where nothing comes from it, the narrowest opening grows by this factor, up to so far above the threshold."""
 ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
