@@ -45,6 +45,8 @@ NOTHING_LEFT_MG = 30.0
 """Less than this, believed to be in a mortar, is not worth a scoop."""
 PRESSED_BELOW_MG = 1500.0
 """With less in the mortar, the lip is pressed into the wall."""
+MOST_SHUT_IN = 6
+"""So many strokes out of which no way is soon found, and the first is made: the way is searched for at length then."""
 HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0, 30.0, 330.0, 0.0, 180.0, 150.0, 210.0)
 """Directions of a swing, from straight out from the arm's base: across it, to and fro, are what it does best."""
 
@@ -156,15 +158,27 @@ class Scoop(Skill[Milligrams]):
         )
 
     def _planned(self, cell: Cell, wished: Iterator[Stroke]) -> "tuple[Stroke, StoppableTrajectory]":
-        """The first that the arm can make; SkillFailed where it can make none."""
+        """The first that the arm can make and soon brings its load out of, or else can make at all.
+
+        SkillFailed where it can make none.
+        """
         vessel, hand = Vessel.of(self.source.mortar), cell.spec.hand
         ladle = Ladle.of(hand)
+        shut_in = list[tuple[Stroke, "StoppableTrajectory"]]()
         why: Exception | None = None
         for stroke in wished:
             try:
-                return stroke, cell.plan_stroke(stroke_path(vessel, stroke, ladle), self.source)
+                motion = cell.plan_stroke(stroke_path(vessel, stroke, ladle), self.source)
             except (NoStrokeError, SkillFailed) as error:
                 why = why or error
+                continue
+            if cell.soon_gets_out(motion, self.source):
+                return stroke, motion
+            shut_in.append((stroke, motion))
+            if len(shut_in) == MOST_SHUT_IN:
+                break
+        if shut_in:
+            return shut_in[0]
         was_scooped_from = self.source.name in cell.believed.layers
         if vessel.floor_mm > 0.0 and (why is None or was_scooped_from):
             in_mortar_mg = cell.believed.sources_mg[self.source.name]

@@ -124,6 +124,7 @@ def test_where_the_hand_can_nowhere_press_the_lip_follows_the_wall(
 
     monkeypatch.setattr(bench.cell, "planned", at_once)
     monkeypatch.setattr(bench.cell, "plan_stroke", planned)
+    monkeypatch.setattr(bench.cell, "soon_gets_out", lambda motion, source: True)
     monkeypatch.setattr(bench.cell, "make_stroke", made)
     monkeypatch.setattr(bench.cell, "move_to", stays)
     bench.carry_out(starter.library.skills["scoop"](source=bench.source).run(bench.cell))

@@ -24,6 +24,7 @@ from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, places
+from scuhand_bt.motion.transfer import BRIEF
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import VirtualClock
@@ -405,6 +406,28 @@ def test_where_the_arm_can_make_strokes_in_few_directions_they_take_turns(
     can_deg = first_headings_deg(starter, "mortar_bay", 2)
     made = unmoved(lambda stroke: stroke.heading_deg in can_deg, 5)
     assert [stroke.heading_deg for stroke in made] == [can_deg[number % 2] for number in range(5)]
+
+
+@pytest.mark.parametrize(("shut_in", "made"), [(1, 1), (math.inf, 0)])
+def test_a_stroke_out_of_which_a_way_is_soon_found_comes_before_others(
+    starter: Lab, motion: MotionPlanner, monkeypatch: pytest.MonkeyPatch, shut_in: float, made: int
+) -> None:
+    """It was made, and then a way out looked for until the run was ended, with the load in the mortar."""
+    bench, source = scooping_bench(starter, motion)
+    ends, move = list[bytes](), MotionPlanner.move
+
+    def moves(planner: MotionPlanner, start: Any, *asked: Any, **how: Any) -> Any:
+        if how.get("effort") == BRIEF:
+            ends.append(start.tobytes())
+            if len(set(ends)) <= shut_in:
+                raise SkillFailed(Code.ARM_NO_PATH, "no way out")
+        return move(planner, start, *asked, **how)
+
+    monkeypatch.setattr(MotionPlanner, "move", moves)
+    bench.do(starter.library.skills["scoop"](source=source).run(bench.cell))
+    assert bench.cell.strokes_made == {"beads": [first_headings_deg(starter, "mortar_bay", 2)[made]]}
+    assert len(ends) == min(shut_in + 1, 6)
+    assert bench.cell.apex_mm() == pytest.approx(bench.cell.places_mm["mortar_bay"], abs=0.5)
 
 
 def test_where_the_arm_cannot_bring_the_lip_so_low_a_stroke_for_less_is_made(

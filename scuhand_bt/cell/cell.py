@@ -17,7 +17,7 @@ from scuhand_bt.cell.carrying import spill_limit_of, upright_again
 from scuhand_bt.cell.in_the_way import InTheWay, StoppedShort
 from scuhand_bt.cell.places import Position
 from scuhand_bt.cell.right_of_way import LOOK_S, ZONE_TIMEOUT_S, RightOfWay, taken
-from scuhand_bt.cell.scooping import planned_stroke
+from scuhand_bt.cell.scooping import planned_out, planned_stroke
 from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Joints, Operator, Reading, Trajectory
@@ -201,6 +201,15 @@ class Cell:
         near = self._planner().standing_at(source.station)
         return planned_stroke(self.motion, near, path, self.spec, source.station, source.mortar)
 
+    def soon_gets_out(self, motion: "StoppableTrajectory", source: Source) -> bool:
+        """Whether a way out of the mortar, with the heaviest load, is soon found from where a planned stroke ends."""
+        rim_mm = Cone.from_roller(math.degrees(float(motion.end[-1])), self.spec.hand).diameter_mm
+        try:
+            planned_out(self._planner(rim_mm), motion, self.spec, source, rim_mm, is_brief=True)
+        except SkillFailed:
+            return False
+        return True
+
     def make_stroke(self, motion: "StoppableTrajectory", station: str) -> Steps[float]:
         """To where a stroke at a mortar's station begins, its cone formed, and along it: arm and roller in one motion.
 
@@ -272,13 +281,14 @@ class Cell:
         """The roller's angle at a rim, counted from the flat sheet."""
         return math.radians(Cone(rim_mm, self.spec.hand.sheet_radius_mm).roller_deg(self.spec.hand))
 
-    def _planner(self) -> "MotionPlanner":
-        """The planner, told what the hand has formed, what stands on the pan, and what others move in.
+    def _planner(self, rim_mm: float | None = None) -> "MotionPlanner":
+        """The planner, told what the hand has formed (or will have), what stands on the pan, and what others move in.
 
         Nobody else needs to tell it.
         """
         pan, closed = self.believed.pan, self.right_of_way.crossing()
-        self.motion.set_geometry(self.hand.cone_diameter_mm / 1000, pan.kind if pan is not None else None, closed)
+        formed_mm = self.hand.cone_diameter_mm if rim_mm is None else rim_mm
+        self.motion.set_geometry(formed_mm / 1000, pan.kind if pan is not None else None, closed)
         if self.spec.watchers:
             self.motion.set_occupied(self.in_the_way.points_m)
         return self.motion

@@ -1,14 +1,15 @@
-"""A stroke of the cone, put where a mortar stands: what the planner of arm and roller is given."""
+"""A stroke of the cone, put where a mortar stands, and its load's way out: what is asked of arm and roller."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
-from scuhand_bt.specs import Mortar
+from scuhand_bt.specs import Mortar, Source
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
@@ -34,3 +35,23 @@ def planned_stroke(
     least_mm, most_mm = float(path.rim_mm.min()), float(path.rim_mm.max())
     rims_mm = [float(path.rim_mm[0]), (least_mm + most_mm) / 2, least_mm]
     return planner.stroke(near, poses, rims_mm, station)
+
+
+def planned_out(
+    planner: "MotionPlanner",
+    swing: "StoppableTrajectory",
+    cell: CellSpec,
+    source: Source,
+    rim_mm: float,
+    *,
+    is_brief: bool,
+) -> "StoppableTrajectory":
+    """From where a stroke ends, with such a rim, out of the mortar with the heaviest load of its source.
+
+    `is_brief`: the way is not searched for at length. SkillFailed arm.* where there is none.
+    """
+    from scuhand_bt.motion.transfer import BRIEF, LIVE  # as above
+
+    limit_deg = carrying_limit_deg(cell, source.powder, source.powder.load_limit_mg, rim_mm)
+    effort = BRIEF if is_brief else LIVE
+    return planner.move(swing.end[:-1], source.station, spill_limit_deg=limit_deg, effort=effort)

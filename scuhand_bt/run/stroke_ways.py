@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scuhand_bt.cell.carrying import carrying_limit_deg
-from scuhand_bt.cell.scooping import planned_stroke
+from scuhand_bt.cell.scooping import planned_out, planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.beds import bed_for, expected_mg, strokes_in
@@ -226,17 +225,13 @@ def swing_and_out(
     `is_brief`: the load's way is not searched for at length. NoStrokeError, or SkillFailed arm.*, where one of these
     cannot be.
     """
-    from scuhand_bt.motion.transfer import BRIEF, LIVE  # and with it what planning needs
-
     path = stroke_path(Vessel.of(source.mortar), stroke, Ladle.of(cell.hand))
     try:
         begin = motion.standing_at(source.station)
         swing = planned_stroke(motion, begin, path, cell, source.station, source.mortar)
         rim_mm = float(path.rim_mm[-1])
         motion.set_geometry(rim_mm / 1000)
-        limit_deg = carrying_limit_deg(cell, source.powder, source.powder.load_limit_mg, rim_mm)
-        effort = BRIEF if is_brief else LIVE
-        there = motion.move(swing.end[:-1], source.station, spill_limit_deg=limit_deg, effort=effort).end
+        there = planned_out(motion, swing, cell, source, rim_mm, is_brief=is_brief).end
         motion.reform(
             there,
             source.station,
