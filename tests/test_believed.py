@@ -247,6 +247,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
                 "missed_mg": 0.0,
                 "more_mg": 0.0,
                 "passes": [],
+                "is_lens": False,
             }
         },
         "has_closed": True,
@@ -527,10 +528,10 @@ def test_a_load_that_finds_what_was_missed_tells_that_and_no_larger_yield() -> N
     assert as_expected.layers["beads"].beside_mg == 3500.0, "it lies there still"
 
 
-def given_out(believed: Believed, scooped_mg: float, came_mg: float) -> tuple[float, Layer]:
+def given_out(believed: Believed, scooped_mg: float, came_mg: float, *, is_lens: bool = False) -> tuple[float, Layer]:
     """What is believed of scoops and bed once a load that should have been so much has given so much, and no more."""
     believed.emptied()
-    believed.scooped(BEADS, scooped_mg, Layer(2.5, 2000.0, 100.0))
+    believed.scooped(BEADS, scooped_mg, Layer(2.5, 2000.0, 100.0, is_lens=is_lens))
     believed.dosing_ended(came_mg, 0.0)
     believed.gave_out(is_short=False)
     return believed.yields["beads"], believed.layers["beads"]
@@ -548,6 +549,23 @@ def test_of_a_load_far_less_than_the_one_before_the_rest_lies_beside_and_the_nex
     found_share, layer = given_out(believed, 1000.0, came_mg)
     assert found_share == pytest.approx(share)
     assert (layer.beside_mg, layer.missed_mg) == pytest.approx((100.0 + missed_mg, missed_mg))
+
+
+@pytest.mark.parametrize(
+    ("came_mg", "share", "missed_mg"),
+    [(200.0, math.sqrt(0.2), 800.0), (749.0, math.sqrt(0.749), 251.0), (751.0, 0.751, 0.0)],
+)
+def test_what_a_lens_lacks_is_at_the_sides_however_little_the_load_before_brought(
+    came_mg: float, share: float, missed_mg: float
+) -> None:
+    """Of a bowl 70 % full loads became nothing with nine tenths left: it was taken to lie in the middle."""
+    believed = Believed()
+    given_out(believed, 2000.0, 500.0)
+    found_share, layer = given_out(believed, 1000.0, came_mg, is_lens=True)
+    assert found_share == pytest.approx(share)
+    assert (layer.beside_mg, layer.missed_mg) == pytest.approx((100.0 + missed_mg, missed_mg))
+    first = given_out(Believed(), 1000.0, came_mg, is_lens=True)
+    assert first == (came_mg / 1000.0, Layer(2.5, 2000.0, 100.0, is_lens=True))
 
 
 def test_a_first_load_however_small_tells_what_scoops_bring_and_nothing_of_where_powder_lies() -> None:

@@ -489,6 +489,18 @@ def test_a_few_strokes_leave_next_to_nothing_and_less_is_believed_to_be_there_on
     assert there_mg < left * fill_mg
 
 
+@pytest.mark.parametrize(("filled", "is_lens"), [(0.45, False), (0.55, True)])
+def test_a_stroke_in_a_bowl_more_than_half_full_cuts_a_lens_and_so_do_those_after_it(
+    filled: float, is_lens: bool
+) -> None:
+    fill_mg = filled * SMALL.capacity_mm3 * BEADS.bulk_density_mg_per_mm3
+    bed = Bed(SMALL, fill_mg, BEADS)
+    layer = layer_left(chosen(bed, LADLE, 2000.0), bed, SHEET_MM)
+    assert layer.is_lens == is_lens
+    then = Bed(SMALL, 0.8 * fill_mg, BEADS, layer)
+    assert layer_left(chosen(then, LADLE, 2000.0), then, SHEET_MM).is_lens == is_lens
+
+
 def test_coarser_grains_are_kept_farther_from_the_edge() -> None:
     fine = POWDERS["glass_beads"]
     coarse = fine.model_copy(update={"grain_mm": 3.0})

@@ -248,9 +248,12 @@ class BelievedPowder:
         """The share of what they should have that a load's scoops brought, which the source's next ones are to bring.
 
         Of far less than before all that was missing lies beside, and the next one goes deeper. Whether that brings as
-        much as before or as little as now nobody knows: it is to bring the mean of the two.
+        much as before or as little as now nobody knows: it is to bring the mean of the two. What a lens out of a bowl
+        more than half full lacks of what it should bring is at the sides, too, however little the one before brought.
         """
-        share, before = load.scoops_share, self.yields.get(name, 0.0)
+        share, before, layer = load.scoops_share, self.yields.get(name, 0.0), self.layers.get(name)
+        if before > 0.0 and layer is not None and layer.is_lens:
+            before = max(1.0, before)
         if share < FAR_LESS * before:
             self._lies_beside(name, (1.0 - share / before) * load.scooped_mg)
             share = math.sqrt(share * before)

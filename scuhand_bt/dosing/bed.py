@@ -54,6 +54,8 @@ class Layer:
     """Of that, what is there only because the last stroke did not find it: the next one may find it all the same."""
     more_mg: float = 0.0
     """What the last stroke may have brought besides, as the sheet bends: who pours its load back pours that, too."""
+    is_lens: bool = False
+    """It, or one before it, was cut out of a bowl that was more than half full."""
     passes: tuple[Pass, ...] = ()
     """In a jar (`jars.py`), the last stroke along each heading."""
 
@@ -101,6 +103,7 @@ class Bed:
         self.if_more: Bed | None = None
         """And if the last stroke has brought all that it may."""
         self._is_full = is_heaped or self.mass_mg > powder.bulk_density_mg_per_mm3 * mortar.capacity_mm3 / 2
+        self.is_lens = self._is_full or (layer is not None and layer.is_lens)
         is_high = not is_heaped and self.surface_mm > mortar.depth_mm / 2
         if layer is not None and is_high and mass_mg > layer.mass_mg + THIN_MG:
             more = replace(layer, mass_mg=max(0.0, layer.mass_mg - layer.more_mg))

@@ -142,6 +142,7 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
         bed.mass_mg - pushed_mg - (beside_mg - falls_back_mg),
         beside_mg,
         more_mg=max(0.0, bent_mg - (pushed_mg - falls_back_mg)),
+        is_lens=bed.is_lens,
     )
 
 
