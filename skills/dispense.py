@@ -32,7 +32,7 @@ from scuhand_bt.dosing.characteristic import held_mg
 from scuhand_bt.dosing.forecast import dose_s, full_flow_s
 from scuhand_bt.dosing.hidden_step import fallen_beside_mg
 from scuhand_bt.dosing.verdict import judge
-from scuhand_bt.quantity import counted
+from scuhand_bt.quantity import counted, format_mass
 from scuhand_bt.skill import (
     BalanceDoubted,
     Cell,
@@ -365,7 +365,11 @@ class Dispense(Skill[Dose]):
         believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow", lacked_mg=lacked_mg)
         if source.name in believed.barren_sources:
             barren = f"{BARREN_LOADS} loads in a row from '{source.name}' have brought nothing"
-            return SkillFailed(Code.SCOOP_NOTHING, f"{barren}, open and shaken; it is not scooped from any more")
+            left = f"{format_mass(believed.sources_mg.get(source.name, 0.0))} should be left in it"
+            done = f"{barren}, open and shaken; it is not scooped from any more"
+            return SkillFailed(
+                Code.SCOOP_NOTHING, f"{done}. {left}: if they stand at the sides, level them, and begin a new run"
+            )
         if believed.dosing.in_vain >= LAST_LOADS:
             what = f"{LAST_LOADS} loads in a row, open and shaken, have given nothing of the last {lacked_mg:.1f} mg"
             return SkillFailed(Code.DOSE_NOT_REACHED, f"{reached}: {what}")
