@@ -1,5 +1,6 @@
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -194,10 +195,19 @@ def test_a_load_that_has_flowed_and_gives_nothing_more_is_soon_scooped_anew(
     assert longest_s / 2.0 < dry_s < longest_s
 
 
-@pytest.mark.parametrize("seed", [101, 106, 108, 120])
-def test_a_hand_that_takes_steps_only_lets_no_pulse_bring_far_more_than_is_missing(seed: int) -> None:
-    """Pulses of crystals alike differ by a third, a shaken one brings three times as much, and the first may little."""
-    rig = Bench(POWDERS["monosodium_glutamate"], 500.0, seed, 0, Setting(hand=HandSpec(streaming=False)))
+@pytest.mark.parametrize(
+    ("powder", "target_mg", "seed"),
+    [
+        *(("monosodium_glutamate", 500.0, seed) for seed in (101, 106, 118, 416)),
+        *(("monosodium_glutamate", 3000.0, seed) for seed in (406, 410, 412)),
+        *(("glass_beads", 3000.0, seed) for seed in (110, 433)),
+    ],
+)
+def test_a_hand_that_takes_steps_only_lets_no_pulse_bring_far_more_than_is_missing(
+    powder: str, target_mg: float, seed: int
+) -> None:
+    """Pulses of crystals alike differ by a half, a shaken one brings three times as much, and the sheet may stick."""
+    rig = Bench(POWDERS[powder], target_mg, seed, 0, Setting(hand=HandSpec(streaming=False)))
     dosed = rig.dose("adaptive", balance=STEPPED)
     assert abs(dosed.true_error_mg) < 2.0
     assert dosed.run.finish.reason == "reached"
@@ -215,6 +225,63 @@ def test_a_load_that_flows_is_dosed_from_to_the_end(seed: int) -> None:
     rig = Bench(POWDERS["monosodium_glutamate"], 2500.0, seed)
     dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True)
     assert dosed.run.finish.reason == "reached"
+
+
+def pulses_of(gained_mg: Sequence[float], **changes: object) -> list[Pulse]:
+    """What `adaptive` commands a hand that takes steps only, of whose pulses each has brought so much."""
+    controller = new_controller("adaptive", dose_request(streaming=False, **changes))
+    told, net_mg = [controller.decide(None)], 0.0
+    for number, each_mg in enumerate((0.0, *gained_mg)):
+        net_mg += each_mg
+        told.append(controller.decide(Observation(3.0 * number, net_mg, 0.05, True)))
+    return [command for command in told if isinstance(command, Pulse)]
+
+
+def test_the_first_pulse_is_as_small_whatever_the_target() -> None:
+    """Of 3 g it brought 4.9, at the widest, where the last milligrams of the dose before had told a weak flow."""
+    known = PowderBelief(coefficient=20.0, doses=3)
+    small, large = (pulses_of([], target_mg=target_mg, powder=known)[0] for target_mg in (500.0, 3000.0))
+    assert large == small
+    assert large.dwell_s < 0.1
+
+
+@pytest.mark.parametrize(("target_mg", "levels"), [(17.0, [0.0] * 5 + [0.4]), (500.0, [0.0, 0.0, 0.4, 1.0])])
+def test_what_a_pulse_does_not_bring_is_shaken_for_later_near_the_target(target_mg: float, levels: list[float]) -> None:
+    told = pulses_of([0.0] * (len(levels) - 1), target_mg=target_mg)
+    assert [pulse.vibration for pulse in told] == levels
+
+
+def test_a_pulse_that_is_shaken_is_smaller() -> None:
+    _, still, shaken, _ = pulses_of([0.0, 0.0, 0.0])
+    assert (still.vibration, shaken.vibration) == (0.0, 0.4)
+    assert (shaken.opening_mm, shaken.dwell_s) < (still.opening_mm, still.dwell_s)
+
+
+def test_pulses_that_differ_are_smaller_than_those_that_are_alike_but_other_than_believed() -> None:
+    belief = PowderBelief()
+    shape = FlowShape(belief.threshold_mm, belief.exponent)
+
+    def count(*factors: float) -> int:
+        """How many pulses 500 mg take that bring in turn so many times what is believed."""
+        request = dose_request(streaming=False, powder=belief)
+        controller, net_mg, done = new_controller("adaptive", request), 0.0, 0
+        command = controller.decide(None)
+        while not isinstance(command, Finish):
+            if isinstance(command, Pulse):
+                ways = 2.0 * shape.closing(command.opening_mm, 0.0, request.valve_speed_mm_per_s)
+                passed = ways + shape.value(command.opening_mm) * command.dwell_s
+                net_mg += factors[done % len(factors)] * belief.coefficient * passed
+                done += 1
+            command = controller.decide(Observation(3.0 * done, net_mg, 0.05, True))
+        assert command.reason == "reached"
+        return done
+
+    assert count(0.4) < count(1.0) + 5
+    assert count(0.6, 1.6) > 1.5 * count(1.0)
+
+
+def test_pulses_are_not_shaken_any_more_once_powder_comes() -> None:
+    assert [pulse.vibration for pulse in pulses_of([0.0, 0.0, 0.0, 30.0])][-2:] == [1.0, 0.0]
 
 
 @settings(max_examples=60, deadline=None)
