@@ -252,7 +252,7 @@ def test_what_a_pulse_does_not_bring_is_shaken_for_later_near_the_target(target_
 
 
 def test_a_pulse_that_is_shaken_is_smaller() -> None:
-    _, still, shaken, _ = pulses_of([0.0, 0.0, 0.0], target_mg=80.0)
+    _, still, shaken, _ = pulses_of([0.0, 0.0, 0.0], target_mg=80.0, powder=PowderBelief(doses=3))
     assert (still.vibration, shaken.vibration) == (0.0, 0.4)
     assert shaken.opening_mm < still.opening_mm
 
