@@ -1,6 +1,7 @@
-"""The tables of docs/dosing.md, from the figures that `benchmarks.dosing` and `benchmarks.dosing_ablation` kept.
+"""The tables of docs/dosing-benchmark.md and docs/dosing-constants.md, from what `benchmarks.dosing` and
+`benchmarks.dosing_ablation` kept.
 
-python -m benchmarks.dosing_tables [benchmarks/dosing_results.json] [docs/dosing.md]
+python -m benchmarks.dosing_tables [benchmarks/dosing_results.json] [docs]
 """
 
 import json
@@ -128,18 +129,20 @@ def page_with_worth(page: str) -> str:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Replace what stands below the mark, and the columns of what constants are worth."""
+    """Replace what stands below the benchmark's mark, and the columns of what constants are worth."""
     here = Path(__file__).parent
     source = Path(arguments[0]) if arguments else here / "dosing_results.json"
-    page = Path(arguments[1]) if len(arguments) > 1 else here.parent / "docs" / "dosing.md"
+    docs = Path(arguments[1]) if len(arguments) > 1 else here.parent / "docs"
     results = read(source)
     blocks = [calibrated(results), waiting(results)]
     rows = {key[0] for key in results}
     blocks += [redo(results)] if REDO in rows else []
     blocks += [robust(results)] if rows - {CALIBRATED, REDO} else []
-    text = page_with_worth(page.read_text(encoding="utf-8")).split(MARK)[0]
     below = "\n\n".join("\n".join(block).rstrip() for block in blocks if block)
-    page.write_text(text + MARK + "\n" + below + "\n", "utf-8")
+    page = docs / "dosing-benchmark.md"
+    page.write_text(page.read_text("utf-8").split(MARK)[0] + MARK + "\n" + below + "\n", "utf-8")
+    constants = docs / "dosing-constants.md"
+    constants.write_text(page_with_worth(constants.read_text("utf-8")), "utf-8")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What each tuned constant is worth: two columns of the table of constants in docs/dosing.md.
+"""What each tuned constant is worth: two columns of the table of constants in docs/dosing-constants.md.
 
 Of a variant of `dosing_constants.yaml` all cells of its world are taken together and held against the law as it is. A
 difference is told where it exceeds two standard deviations of what chance makes of two sets of doses (each cell's

@@ -372,7 +372,7 @@ def test_the_table_of_constants_is_filled_from_the_results() -> None:
 
 
 def test_what_constants_are_worth_is_as_it_was_measured() -> None:
-    page = (Path(__file__).parent.parent / "docs" / "dosing.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parent.parent / "docs" / "dosing-constants.md").read_text(encoding="utf-8")
     assert page_with_worth(page) == page
 
 
