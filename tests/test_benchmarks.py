@@ -24,7 +24,7 @@ from benchmarks.calibration import (
 )
 from benchmarks.code_mutator import mutants_of
 from benchmarks.dem.bed import collected_mg
-from benchmarks.dem.cases import MORTARS, Case
+from benchmarks.dem.cases import MORTARS, Case, cases
 from benchmarks.dosing_ablation import FREE, LISTED, MODULES, Job, changed, jobs_of, measure_listed, read_variant, work
 from benchmarks.dosing_tables import page_with_worth
 from benchmarks.dosing_worth import AGAIN, AS_IT_IS, filled, noise, worth
@@ -206,6 +206,16 @@ def test_the_height_field_collects_what_the_discrete_elements_do_within_a_fifth(
     found = collected_mg(Case(name, mortar, row["fill_mg"], *row["friction_deg"], (way,)), row["fill_mg"])
     assert found.collected_mg[0] == pytest.approx(row["collected_mg"][0], rel=0.2)
     assert found.collected_mg == pytest.approx(row["height_field_mg"], rel=0.01), "as the docs have it"
+
+
+@pytest.mark.slow
+def test_discrete_elements_have_judged_the_strokes_that_are_made_today() -> None:
+    for case in cases():
+        judged = [DEM["ways"][number] for number in DEM["cases"][case.name]["ways"]]
+        for way, today in zip(judged, case.strokes, strict=True):
+            assert len(way["times_s"]) == len(today["times_s"]), f"run `benchmarks.dem --only '{case.name}'`"
+            for name, close in (("apex_mm", 0.1), ("axis", 0.002), ("rim_mm", 0.1)):
+                np.testing.assert_allclose(today[name], way[name], atol=close, err_msg=case.name)
 
 
 STROKES = json.loads((Path(__file__).parent.parent / "benchmarks" / "strokes_results.json").read_text())
