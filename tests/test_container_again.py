@@ -86,6 +86,36 @@ def test_what_a_dose_has_brought_that_broke_off_is_in_the_books(tmp_path: Path) 
     assert beads.dosed_mg == pytest.approx(spare.dispensed_mg + broke_off_mg, abs=1.0)
 
 
+def test_what_one_lot_has_brought_out_of_two_mortars_is_in_the_books_once(tmp_path: Path) -> None:
+    steps = "".join(
+        f"\n    - {step}"
+        for step in (
+            "place_container: {container: $container}",
+            "tare:",
+            "fill: {source: $one, container: $container, mass: $mass / 4, tolerance: $tolerance}",
+            "return_leftover: {source: $one}",
+            "optional: {child: {timeout: {duration: 25 s, child: "
+            "{fill: {source: $two, container: $container, mass: $mass, tolerance: $tolerance}}}}}",
+            "return_leftover: {source: $two}",
+            "park:",
+        )
+    )
+    inputs = "{one: Source, two: Source, container: Container, mass: Mass, tolerance: Mass}"
+    lab = make_lab(tmp_path / "lab", trees__two=f"workflow: two\ninputs: {inputs}\ntree:\n  sequence:{steps}\n")
+    at = "container: agate_mortar, powder: glass_beads, amount: 20 g, lot: G1"
+    recipe = (
+        "recipe: two\nworkflow: two\non_failure: {otherwise: flag}\n"
+        f"sources:\n  one: {{station: mortar_bay, {at}}}\n  two: {{station: mortar_bay_2, {at}}}\n"
+        "samples: [{id: a, one: one, two: two, container: alumina_crucible, mass: 2 g, tolerance: 4 mg}]\n"
+    )
+    ran = dry_run(tmp_path, recipe, lab=lab, controller="adaptive")
+    assert ran.session.world is not None
+    there_mg = ran.session.world.masses_mg["container:a"]
+    with open_contents(ran.journal) as contents:
+        assert sum(source.dosed_mg for source in powder_balance(contents)) == pytest.approx(there_mg, abs=1.0)
+    assert there_mg > 600.0, "the second dose broke off, and not before it had begun"
+
+
 def test_a_container_that_is_put_back_where_it_stands_may_weigh_what_it_has_got(tmp_path: Path) -> None:
     """2 g are more than crucibles differ by: it was taken for a wrong one."""
     ran = again(tmp_path, FIRST, WHOLE, FIRST, WHOLE, kind="alumina_crucible", mass="2 g")

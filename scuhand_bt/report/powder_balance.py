@@ -99,15 +99,15 @@ def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
     weighings = list(weighing_rows(contents))
     # An old journal has only what the skill said of a dose, and nothing that was adjusted to the bare pan.
     said = "result" if any(row["weighing"] == "result" for row in weighings) else "dose"
-    came = {
-        (str(row["container"]), str(row["source"])): (row["net_mg"], row["standard_uncertainty_mg"])
-        for row in weighings
-        if row["weighing"] == said and row.get("source") is not None
-    }
+    told = set[tuple[object, ...]]()
+    for row in weighings:
+        if row["weighing"] == said and (source := found.get(str(row.get("source")))) is not None:
+            source.dosed_mg += cast(float, row["net_mg"])
+            source.dosed_variance_mg2 += cast(float, row["standard_uncertainty_mg"]) ** 2
+            told.add((row["container"], source.powder, source.lot))
     for (container, lot), dosed in closed.items():  # of a dose that broke off no sample tells
-        came.setdefault((container, of_lots.get((container, lot), "")), (dosed.net_mg, dosed.uncertainty_mg))
-    for (_, name), (net_mg, u_mg) in came.items():
-        if (source := found.get(name)) is not None:
-            source.dosed_mg += cast(float, net_mg)
-            source.dosed_variance_mg2 += cast(float, u_mg) ** 2
+        source = found.get(of_lots.get((container, lot), ""))
+        if source is not None and (container, source.powder, source.lot) not in told:
+            source.dosed_mg += dosed.net_mg
+            source.dosed_variance_mg2 += dosed.uncertainty_mg**2
     return list(found.values())
