@@ -448,7 +448,7 @@ def test_a_mortar_with_so_thin_a_floor_that_handle_and_wrist_come_too_low_is_pro
     recipe = lab.folder / "recipes" / "one.yaml"
     recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
     (message,) = blocked(lab)
-    assert "With 'mortar_bay' at [200 mm, 240 mm, 20 mm] it can scoop there" in message
+    assert "With 'mortar_bay' at [200 mm, 240 mm, 20 mm], on a stand of 20 mm, it can scoop there" in message
     lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240 mm, 20 mm]")
     assert blocked(lab) == []
 

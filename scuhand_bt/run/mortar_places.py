@@ -55,11 +55,19 @@ def places_for(cell: CellSpec, source: Source, others: Collection[Source], *, ma
         for out_mm, turn_rad in product(OUT_MM, map(math.radians, turns_deg))
     ]
     aside_mm.sort(key=lambda there_mm: math.dist(there_mm, (x_mm, y_mm)))
-    raised = product([(x_mm, y_mm), *aside_mm[:NEAREST]], STANDS_MM)
-    for there_mm, stand_mm in (*product(aside_mm, [0.0]), *raised):
+
+    def with_room(there_mm: tuple[float, float], stand_mm: float) -> Iterator[Place]:
         written_mm, really_mm = _as_written(station, (*there_mm, z_mm + stand_mm))
         if _has_room(cell, source, really_mm, others):
             yield Place(station.name, written_mm, really_mm, stand_mm)
+
+    nearest_mm = [(x_mm, y_mm)]
+    for there_mm in aside_mm:
+        for place in with_room(there_mm, 0.0):
+            nearest_mm.append(there_mm)
+            yield place
+    for there_mm, stand_mm in product(nearest_mm[: 1 + NEAREST], STANDS_MM):
+        yield from with_room(there_mm, stand_mm)
 
 
 def _as_written(station: Station, place_mm: Point) -> tuple[Point, Point]:
