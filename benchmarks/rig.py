@@ -40,7 +40,8 @@ from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.outcome import confirmed_dose
-from scuhand_bt.sim.cell import simulated_cell
+from scuhand_bt.sim.arm import SimulatedArm
+from scuhand_bt.sim.cell import ZERO, simulated_cell
 from scuhand_bt.sim.world import World
 from scuhand_bt.skill import pause
 from scuhand_bt.specs import BalanceBelief, Container, Departure, Mortar, Powder, PowderBelief, Source
@@ -67,6 +68,8 @@ DISH = Container(
     id="dish", name="petri_dish", mouth_mm=55.0, height_mm=15.0, capacity_mm3=20_000.0, empty_mass_mg=25_000.0
 )
 APEX = ApexPose(np.array([0.330, 0.0, 0.140]))
+OVER_PAN = (0.0, -0.032728698809, 0.0, -2.2031318676, 0.0, 0.21403742781, 0.0)
+"""The arm's joints [rad] with which the apex is there."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ class Trial:
 
 @cache
 def _standing() -> MotionPlanner:
-    """For where the arm stands, which is not over the pan, whatever the world has of the cone."""
+    """For where the arm stands: over the pan while a dose is made, whatever the world has of the cone."""
     return load_lab(ROBOT.parent).motion_planner({})
 
 
@@ -207,6 +210,8 @@ class Bench:
         cell.powder_beliefs[source.sheet_key], cell.balance_belief = powder, balance
         self.drive(skills()["tare"]().run(cell))
         self.drive(pause(cell, WAY_S))
+        arm = cast(SimulatedArm, cell.arm)
+        arm.hold(OVER_PAN)
         begin_s = self.clock.now_s
         dispense = skills()["dispense"](
             mass_mg=self.target_mg, tolerance_mg=TOLERANCE_MG, controller=name if name in CONTROLLERS else ""
@@ -223,6 +228,7 @@ class Bench:
                 self.drive(dispense.run(cell))
         except SkillFailed as failure:
             reason = failure.code
+        arm.hold(ZERO.tolist())
         duration_s, true_mg, dose = self.clock.now_s - begin_s, self.world.true_mass(DISH.id), self.record.last
         return Trial(
             true_error_mg=true_mg - self.target_mg,

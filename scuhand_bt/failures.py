@@ -18,6 +18,7 @@ class Code(StrEnum):
     ARM_JOINT_LIMIT = "arm.joint_limit"
     ARM_IN_THE_WAY = "arm.in_the_way"
     ARM_ZONE_TAKEN = "arm.zone_taken"
+    ARM_NOT_OVER_PAN = "arm.not_over_pan"
     ARM_NOT_FOLLOWING = "arm.not_following"
     ARM_LIMP = "arm.limp"
     COMPUTER_BUSY = "computer.busy"
@@ -113,6 +114,10 @@ CATALOGUE: Mapping[str, Failure] = {
         "The arm was to go into a zone of the cell, or to leave it, and something else did not end there.",
         "Look at the cell; in the workflow, put what goes into the zone behind the `parallel`, not into it.",
         ("cell",),
+    ),
+    Code.ARM_NOT_OVER_PAN: Failure(
+        "Powder was to be let out, and the cone is not over the container on the pan.",
+        "Put `move_over:` before `dispense` in the workflow, and behind each `scoop` or `park`.",
     ),
     Code.ARM_NOT_FOLLOWING: Failure(
         "The arm is not where its trajectory says it should be.",

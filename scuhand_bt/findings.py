@@ -239,7 +239,8 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "`place_container:` before it.",
         ),
         "not-over-pan": _warning(
-            "A workflow doses, and the arm was not sent over the pan.", "`move_over:` before the dose."
+            "A workflow doses, and the arm was not sent over the pan, or away from it again; it will be refused.",
+            "`move_over:` right before the dose.",
         ),
         "no-park": _warning("A workflow leaves the arm where its last action was.", "`park:` at the end."),
     },

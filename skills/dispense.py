@@ -37,6 +37,7 @@ from scuhand_bt.skill import (
     BalanceDoubted,
     Cell,
     Code,
+    Container,
     Dose,
     DoseBegun,
     DoseWeighed,
@@ -86,6 +87,7 @@ class Dispense(Skill[Dose]):
     """
 
     raises = (
+        Code.ARM_NOT_OVER_PAN,
         Code.BALANCE_COARSE,
         Code.CONTAINER_MISSING,
         Code.CONTAINER_TOO_SMALL,
@@ -126,6 +128,7 @@ class Dispense(Skill[Dose]):
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
             bracket = cell.believed.bracket
+        self._require_over(cell)
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
         drift = drift_between(earlier, weighing_of(mean), cell.spec.balance.readability_mg)
         if mean.time_s - earlier.time_s < LOOK_S and is_hardly_chance(drift):
@@ -254,10 +257,24 @@ class Dispense(Skill[Dose]):
         container = cell.believed.pan
         if container is None or cell.believed.bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
-        place, _ = over_balance(cell.spec, container)
-        if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
-            yield from cell.move_to(place)
+        if self._aside_mm(cell, container) > ASIDE_MM:
+            yield from cell.move_to(over_balance(cell.spec, container)[0])
         yield from weigh_broken_off(cell, at_most=True)
+
+    def _require_over(self, cell: Cell) -> None:
+        """What falls anywhere else is lost, and looks like powder that does not flow."""
+        container = cell.believed.pan
+        if container is not None and (aside_mm := self._aside_mm(cell, container)) > ASIDE_MM:
+            raise SkillFailed(
+                Code.ARM_NOT_OVER_PAN,
+                f"the cone's apex is {aside_mm:.0f} mm from its place over '{container.id}': `move_over` comes before "
+                "`dispense`",
+            )
+
+    @staticmethod
+    def _aside_mm(cell: Cell, container: Container) -> float:
+        """How far the apex is from its place over a container."""
+        return math.dist(cell.apex_mm(), over_balance(cell.spec, container)[1])
 
     def request(self, cell: Cell) -> DoseRequest:
         """What its controller is asked for, by what is known of powder, balance and hand now."""

@@ -13,7 +13,7 @@ class RefillMortar(Skill[None]):
 
     raises = (Code.OPERATOR_REFUSED,)
     devices = ("arm", "hand")
-    typical_s = 120.0
+    typical_s = 60.0
     interrupted = "repeat"
 
     source: Source

@@ -12,7 +12,7 @@ class SwapSheet(Skill[None]):
 
     raises = (Code.HAND_WRONG_POWDER, Code.OPERATOR_REFUSED)
     devices = ("arm", "hand")
-    typical_s = 120.0
+    typical_s = 60.0
     interrupted = "repeat"
 
     @classmethod

@@ -21,7 +21,7 @@ from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import Drift, Net, Reference
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.motion.kinematics import ApexPose, Mount
+from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
@@ -37,7 +37,8 @@ DISH = Container(
 )
 UNSEEN = BalanceBelief()
 """What is believed of a balance that nothing is known of."""
-APEX = ApexPose(np.array([0.330, 0.0, 0.140]))
+OVER_PAN = np.array([0.0, -0.032728698809, 0.0, -2.2031318676, 0.0, 0.21403742781, 0.0])
+"""The arm's joints [rad] with which the apex is at its place over the dish."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ class Bench:
             operator=cast(Operator, None),
             seed=seed,
             plant=setting.plant,
-            apex_of=lambda joints: APEX,
+            joints=OVER_PAN,
         )
         self.clock.process = self.world
         self.world.begin_sample(f"{powder.name} {target_mg:g}", dose)

@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.clock import Wake
-from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.balances.mt_sics import DIALECT as MT_SICS
@@ -59,6 +59,24 @@ def test_a_simulated_balance_gives_its_lines_to_whoever_listens(readability_mg: 
         assert isinstance(weight, Weight)
         assert weight.milligrams() == pytest.approx(reading.value_mg, abs=1e-9)
         assert (weight.unit, weight.stable) == (reading.unit, reading.stable)
+
+
+@pytest.mark.parametrize("readability_mg", [0.01, 0.02, 0.1, 1.0])
+def test_a_finer_simulated_balance_comes_to_rest_too(readability_mg: float) -> None:
+    """With the noise of a 0.1 mg balance one of 0.01 mg never called itself stable: every dry run failed."""
+    rig = bench(balance=BalanceSpec(readability_mg=readability_mg))
+    for _ in range(10):
+        mean = rig.drive(rig.cell.balance.stable_mean(10.0))
+        assert mean.uncertainty_mg < readability_mg
+
+
+def test_what_is_written_of_a_balance_is_simulated_however_fine_it_is() -> None:
+    rig = bench(balance=BalanceSpec(readability_mg=0.01, simulation=BalanceResponseSpec(noise_mg=0.5, drift_mg=0.0)))
+    let_pass(rig, 10.0)
+    heard: list[Reading] = []
+    rig.cell.balance.on_reading = heard.append
+    let_pass(rig, 20.0)
+    assert np.std([reading.value_mg for reading in heard]) == pytest.approx(0.5, rel=0.2)
 
 
 actions = st.lists(

@@ -189,7 +189,24 @@ def test_who_watches_sees_when_a_retry_begins_its_child_no_more(
         now = Follower(tmp_path / "journal.sqlite", until_s=until_s)
         now.look()
         assert [node.state for node in tree_of(now) if node.name == "retry"] == [state], until_s
-        assert bool(now.given_up) == (state == "failed"), "of a round before is nothing known any more"
+        assert bool(now.over) == (state == "failed"), "of a round before is nothing known any more"
+
+
+@pytest.mark.parametrize("loop", ["repeat: {times: 2", "for_each: {items: {one: $each}"])
+def test_who_watches_sees_when_all_rounds_are_done(bench: Bench, tmp_path: Path, loop: str) -> None:
+    """What goes on beside them does not tell; and where they are come to again, they go on again."""
+    rounds = f"workflow: rounds\ninputs: {{each: [Duration]}}\ntree: {{{loop}, child: {{hand: {{duration: 2 s}}}}}}}}\n"
+    beside = "parallel: [{arm: {duration: 6 s}}, {rounds: {each: [1 s, 2 s]}}]"
+    bench.run(
+        f"optional: {{retry: {{attempts: 2, child: {{sequence: [{{{beside}}}, {{fail: }}]}}}}}}",
+        SKILLS,
+        {"rounds": rounds},
+    )
+    name = loop.split(":")[0]
+    for until_s, state in {3.0: "running", 4.5: "done", 7.0: "running", 9.0: "running", 10.5: "done"}.items():
+        now = Follower(tmp_path / "journal.sqlite", until_s=until_s)
+        now.look()
+        assert [node.state for node in tree_of(now) if node.name == name] == [state], until_s
 
 
 HALTED = {
@@ -235,6 +252,7 @@ def test_a_loop_that_is_over_beside_what_went_on_is_as_its_job_came_out(
     now = Follower(tmp_path / "journal.sqlite")
     now.look()
     now.job_ended = JobEnded(outcome=outcome)
+    now.over.clear()  # an older journal does not say that all rounds were done
     assert [node.state for node in tree_of(now)] == states
 
 

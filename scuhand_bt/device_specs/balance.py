@@ -14,12 +14,12 @@ class BalanceResponseSpec(Spec):
 
     lag_s: Annotated[Seconds, Field(gt=0)] = 0.3
     """Time constant of each of its filter's two poles."""
-    noise_mg: Annotated[Milligrams, NotNegative] = 0.08
-    """Standard deviation of a reading on a quiet pan."""
+    noise_mg: Annotated[Milligrams, NotNegative] | None = None
+    """Standard deviation of a reading on a quiet pan; unset, 0.08 mg, and of finer balances 0.8 digits."""
     vibration_noise_mg: Annotated[Milligrams, NotNegative] = 0.4
     """Standard deviation that the hand's motor adds at full level."""
-    drift_mg: Annotated[Milligrams, NotNegative] = 0.1
-    """Random walk of the zero: standard deviation after a minute."""
+    drift_mg: Annotated[Milligrams, NotNegative] | None = None
+    """Random walk of the zero: standard deviation after a minute; unset, 0.1 mg, and of finer balances a digit."""
 
 
 class BalanceOptions(Spec):
@@ -67,6 +67,18 @@ class BalanceSpec(Spec):
     def confirmed_tolerance_mg(self) -> float:
         """Five digits: of doses within less, nine in ten are not always told so (docs/weighing.md has the figures)."""
         return 5.0 * self.readability_mg
+
+    @property
+    def simulated_noise_mg(self) -> float:
+        """Of a finer balance less, as it tells finer steps: one that never calls itself stable could not be used."""
+        written_mg = self.simulation.noise_mg
+        return min(0.08, 0.8 * self.readability_mg) if written_mg is None else written_mg
+
+    @property
+    def simulated_drift_mg(self) -> float:
+        """Likewise."""
+        written_mg = self.simulation.drift_mg
+        return min(0.1, self.readability_mg) if written_mg is None else written_mg
 
     @property
     def settles_s(self) -> float:

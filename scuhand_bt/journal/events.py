@@ -70,7 +70,8 @@ class TreeNode(Values):
     """How far below the root it stands."""
     name: Text
     path: str = ""
-    """Its place in the tree, as `action_started`, `decided` and `gave_up` have it; empty for what writes none."""
+    """Its place in the tree, as `action_started`, `decided`, `gave_up` and `rounds_done` have it; empty for what writes
+    none."""
 
 
 class WorkflowTree(Event):
@@ -157,6 +158,14 @@ class GaveUp(Event):
     """A `retry` has failed with what is below it, and does not begin that again: for whoever shows the tree."""
 
     KIND: ClassVar = "gave_up"
+
+    path: str
+
+
+class RoundsDone(Event):
+    """A `repeat` or `for_each` has done all its rounds, and begins none any more: for whoever shows the tree."""
+
+    KIND: ClassVar = "rounds_done"
 
     path: str
 
@@ -278,6 +287,7 @@ ENGINE_EVENTS: tuple[type[Event], ...] = (
     Frames,
     Decided,
     GaveUp,
+    RoundsDone,
     ArmMoved,
     PanCompared,
     ContainerReweighed,

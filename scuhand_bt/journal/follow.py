@@ -29,6 +29,7 @@ from scuhand_bt.journal.events import (
     JobEnded,
     JobResumed,
     JobStarted,
+    RoundsDone,
     TreeNode,
     WorkflowTree,
 )
@@ -53,6 +54,7 @@ _OF_JOB: tuple[type[Event], ...] = (
     ActionEnded,
     Decided,
     GaveUp,
+    RoundsDone,
     ArmMoves,
     DoseCurve,
     Frames,
@@ -113,8 +115,8 @@ class Follower:
     """Of that job, by the entries that they began with."""
     decided: dict[str, SkillFailed] = field(default_factory=dict)
     """Why nodes of its tree that are no skill have failed, by their places."""
-    given_up: set[str] = field(default_factory=set)
-    """Places of the `retry` nodes that have failed and have not been come to again."""
+    over: set[str] = field(default_factory=set)
+    """Places of what begins others again, and does so no more, nor was come to again: see `GaveUp`, `RoundsDone`."""
     course: list[Sequence[float]] = field(default_factory=list)
     """Of its doses until now: the points of `dose_curve`."""
     reading: tuple[float, float, bool] | None = None
@@ -198,7 +200,7 @@ class Follower:
                 self.trees[event.workflow] = event.nodes
             case JobStarted():
                 self.job, self.job_ended, self.reading = event, None, None
-                self.actions, self.decided, self.given_up, self.course = {}, {}, set(), []
+                self.actions, self.decided, self.over, self.course = {}, {}, set(), []
             case JobResumed():
                 self.job_ended = None
                 self.samples.pop((self.job and self.job.sample) or "", None)  # one that had stopped the run
@@ -206,14 +208,14 @@ class Follower:
                 self.job_ended = event
             case ActionStarted():
                 self.actions[seq] = ActionNow(event.skill, event.path)
-                self.given_up -= {place for place in self.given_up if event.path.startswith(f"{place}/")}
+                self.over -= {place for place in self.over if event.path.startswith(f"{place}/")}
             case ActionEnded() if action in self.actions:
                 begun = self.actions[action]
                 self.actions[action] = ActionNow(begun.skill, begun.path, event.outcome, event.failure)
             case Decided():
                 self.decided[event.path] = event.failure
-            case GaveUp():
-                self.given_up.add(event.path)
+            case GaveUp() | RoundsDone():
+                self.over.add(event.path)
             case DoseCurve():
                 self.course += event.points
             case SampleResult():

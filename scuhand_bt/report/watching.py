@@ -92,8 +92,7 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
     What stands behind the leaf at work, or the last that was, not beside it, and acted before it, is to come again.
     What stands before the last that acted, and did not act itself, was passed by. What is above others is what they
     make of it: a sequence is not done before the last of it, also while nothing acts. One that begins anew what is
-    below it is over when something else has acted since, when what is above it is, or the journal says so of a `retry`:
-    how often it may is not there.
+    below it is over when something else has acted since, when what is above it is, or the journal says so.
     """
     last = {one.path: (seq, one) for seq, one in now.actions.items()}
     at_work = [place for place, node in enumerate(drawn) if node.path in last and last[node.path][1].outcome is None]
@@ -129,7 +128,7 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Sequence[Node]:
         if len(below) > 1:
             children = [nodes[place + k].state for k, one in enumerate(below) if one.depth == node.depth + 1]
             state = _above(node.name, children)
-            is_over = node.path in now.given_up or is_left(place, below)
+            is_over = node.path in now.over or is_left(place, below)
             begins_again = (node.name, state) in _BEGINS_AGAIN and not is_over
             return ("running" if begins_again else state), ""
         _, one = max(acted, key=lambda pair: pair[0])

@@ -12,7 +12,7 @@ from py_trees.common import Status
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import ActionEnded, ActionStarted, Decided, GaveUp, TreeNode, WorkflowTree
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Decided, GaveUp, RoundsDone, TreeNode, WorkflowTree
 from scuhand_bt.journal.plain import plain, plain_values, to_json
 from scuhand_bt.journal.run_events import Continued, Paused
 from scuhand_bt.journal.writer import Journal
@@ -26,7 +26,7 @@ from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.leaf import Consent, SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.library import Library
-from scuhand_bt.tree.nodes import Retry, Timeout, While, failure_of
+from scuhand_bt.tree.nodes import ForEach, Repeat, Retry, Timeout, While, failure_of
 from scuhand_bt.tree.replay import Decision, Replay
 from scuhand_bt.tree.substitutes import Substitutes
 
@@ -243,7 +243,7 @@ class Runner:
 
 def _drawn(root: Behaviour, depth: int = 0) -> Iterator[TreeNode]:
     """A tree's nodes, each below the one that it belongs to."""
-    path = root.path if isinstance(root, SkillLeaf | Timeout | While | Retry) else ""
+    path = root.path if isinstance(root, SkillLeaf | Timeout | While | Retry | Repeat | ForEach) else ""
     yield TreeNode(depth=depth, name=root.name, path=path)
     for child in root.children:
         yield from _drawn(child, depth + 1)
@@ -284,6 +284,9 @@ class _Recorder:
 
     def gave_up(self, path: str) -> None:
         self._journal.event(GaveUp(path=path))
+
+    def rounds_done(self, path: str) -> None:
+        self._journal.event(RoundsDone(path=path))
 
 
 def _running(root: Behaviour) -> str:

@@ -24,6 +24,7 @@ class OurBalanceResponse:
 
     def __init__(self, spec: BalanceSpec) -> None:
         self._figures = spec.simulation
+        self._noise_mg, self._drift_mg = spec.simulated_noise_mg, spec.simulated_drift_mg
         self._first = self._second = self._zero = 0.0
         self._dt_s = self._step = self._walk = 0.0
 
@@ -33,12 +34,12 @@ class OurBalanceResponse:
         if dt_s != self._dt_s:
             self._dt_s = dt_s
             self._step = -math.expm1(-dt_s / figures.lag_s)
-            self._walk = figures.drift_mg * math.sqrt(dt_s / 60.0)
+            self._walk = self._drift_mg * math.sqrt(dt_s / 60.0)
         # The first step of all may be too short to divide by; nothing lands in it.
         push_mg = on_pan_mg + landing_mg * (1.0 + FALL_TIME_S / dt_s) if landing_mg > 0.0 else on_pan_mg
         before = self._first
         self._first += (push_mg - before) * self._step
         self._second += ((before + self._first) / 2.0 - self._second) * self._step
         self._zero += self._walk * rng.standard_normal()
-        noise_mg = figures.noise_mg + figures.vibration_noise_mg * vibration
+        noise_mg = self._noise_mg + figures.vibration_noise_mg * vibration
         return self._second + self._zero + noise_mg * rng.standard_normal()

@@ -70,6 +70,6 @@ class SomeCell:
         ours = spec.simulation
         figures = {
             "lag_s": ours.lag_s * SLOWER * math.exp(LAG * self._lag),
-            "noise_mg": ours.noise_mg * math.exp(NOISE * self._noise),
+            "noise_mg": spec.simulated_noise_mg * math.exp(NOISE * self._noise),
         }
         return OurBalanceResponse(spec.model_copy(update={"simulation": ours.model_copy(update=figures)}))

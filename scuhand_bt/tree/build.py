@@ -152,8 +152,8 @@ class _Builder:
         within = Scope({}, scope, (*scope.rounds, around))
         child = self.build(node.child, within, path)
         if node.kind == "for_each":
-            return ForEach(child, arguments, around, within.values)
-        return Repeat(child, arguments, around, self._shared)
+            return ForEach(path, child, arguments, around, within.values, self._shared)
+        return Repeat(path, child, arguments, around, self._shared)
 
     def _build_choice(self, node: Choice, scope: Scope, path: str) -> Behaviour:
         children = [self.build(case.child, scope, f"{path}.{case.label}") for case in node.cases]

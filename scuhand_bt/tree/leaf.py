@@ -62,6 +62,10 @@ class Listener(Protocol):
         """A `retry` has failed with its child, and does not begin that again."""
         ...
 
+    def rounds_done(self, path: str) -> None:
+        """A `repeat` or `for_each` has succeeded, and begins its child no more."""
+        ...
+
 
 class Rejoin(Protocol):
     """What the run does before the first action that goes live, and before one that had begun, after an interruption.

@@ -64,7 +64,11 @@ NEEDS = (
         "`tare:` after `place_container`, and before it",
     ),
     Need(
-        "dose", "hover", "not-over-pan", "'{}' opens the valve, and the arm was not sent over the pan", "`move_over:`"
+        "dose",
+        "hover",
+        "not-over-pan",
+        "'{}' opens the valve, and the arm was not sent over the pan, or left it again",
+        "`move_over:`",
     ),
 )
 
@@ -294,6 +298,8 @@ class Lint:
                 if need.of in does and need.before not in ready:
                     self._problems.warn(node.mark, need.what.format(node.name), need.remedy, code=need.code)
                     ready |= {need.before}  # said once
+            if "arm" in self.library.skills[name].devices:
+                ready -= {"hover"}
             ready |= does
         return ready
 

@@ -186,12 +186,13 @@ class Retry(_Counted):
 
 
 class Repeat(_Counted):
-    """Run the child `times` times; fails when the child fails."""
+    """Run the child `times` times; fails when the child fails. That it has is told, as of a `Retry`."""
 
     count = "times"
 
-    def __init__(self, child: Behaviour, arguments: Arguments, around: Round, shared: Ticking) -> None:
+    def __init__(self, path: str, child: Behaviour, arguments: Arguments, around: Round, shared: Ticking) -> None:
         super().__init__(child, arguments, shared)
+        self.path = path
         self._round = around
 
     def begin(self) -> None:
@@ -204,20 +205,31 @@ class Repeat(_Counted):
             return self.decorated.status
         self._left -= 1
         if self._left <= 0:
+            _tell_rounds_done(self.path, self._shared)
             return Status.SUCCESS
         self._round.number += 1
         return self._again()
 
 
 class ForEach(_Begun):
-    """Run the child for each item of its lists, side by side; fails when the child fails.
+    """Run the child for each item of its lists, side by side; fails when the child fails. That it has is told, too.
 
     `items` are the values that the child reads under the items' names. The next round begins in the tick in which one
     has ended: there is an end to a list.
     """
 
-    def __init__(self, child: Behaviour, arguments: Arguments, around: Round, items: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        path: str,
+        child: Behaviour,
+        arguments: Arguments,
+        around: Round,
+        items: dict[str, Any],
+        shared: Ticking,
+    ) -> None:
         super().__init__("for_each", child)
+        self.path = path
+        self._shared = shared
         self._arguments = arguments
         self._round = around
         self._items = items
@@ -250,7 +262,15 @@ class ForEach(_Begun):
         yield self
 
     def update(self) -> Status:
-        return Status.SUCCESS if self._round.number > len(self._rounds) else self.decorated.status
+        if self._round.number <= len(self._rounds):
+            return self.decorated.status
+        _tell_rounds_done(self.path, self._shared)
+        return Status.SUCCESS
+
+
+def _tell_rounds_done(path: str, shared: Ticking) -> None:
+    if not shared.replay.is_replaying:
+        shared.listener.rounds_done(path)
 
 
 class Chosen(Composite):
