@@ -252,6 +252,7 @@ def test_a_place_that_two_mortars_would_have_is_proposed_to_one_and_another_to_t
 ) -> None:
     """The second also stands well on a stand, elsewhere than where it is, which is told in words."""
     with_two_mortars(lab)
+    lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[340 mm, 260 mm, 0 mm]")
     shared, raised = (180.0, 210.0, 0.0), (220.0, -260.0, 20.0)
 
     def possible(station: str, at_mm: dict[str, Point]) -> bool:
@@ -259,6 +260,7 @@ def test_a_place_that_two_mortars_would_have_is_proposed_to_one_and_another_to_t
 
     strokes_where(monkeypatch, possible)
     (message,) = blocked(lab)
+    assert message.count("no stroke is possible") == 2, "why, of both"
     assert message.endswith(
         "With 'mortar_bay' at [180 mm, 210 mm, 0 mm] and 'mortar_bay_2' at [220 mm, -260 mm, 20 mm], on a stand of "
         "20 mm, it can scoop there, and carry what it has scooped to where it goes"
