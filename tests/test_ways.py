@@ -4,6 +4,7 @@ import json
 import math
 import re
 import sys
+from collections.abc import Callable
 from itertools import islice
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +13,8 @@ import pytest
 from conftest import Call, LabFolder
 
 from harness.own_workflow import RECIPE, TREE, write_own
+from scuhand_bt.bench_spec import Point
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Stroke
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.lab import read_lab, starter_lab
@@ -20,6 +23,7 @@ from scuhand_bt.problems import Problem
 from scuhand_bt.report import directions
 from scuhand_bt.run import checking, ways
 from scuhand_bt.run.checking import check
+from scuhand_bt.specs import Source
 
 ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
 """So low that the cone comes under it from the side alone."""
@@ -198,24 +202,89 @@ def test_a_way_that_is_soon_found_comes_before_long_searches_in_other_directions
     assert asked[48 if last else 0][0] == asked[0][0], "all of them again, in their order"
 
 
-@pytest.mark.slow
-def test_of_two_mortars_that_stand_badly_one_is_proposed_a_place_and_then_the_other(lab: LabFolder) -> None:
-    """Over the second the arm cannot even stand: it is to have no way there as long as the first is looked for."""
+def with_two_mortars(lab: LabFolder) -> None:
     recipe = lab.folder / "recipes" / "one.yaml"
     more = (
         "  more: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, amount: 5 g, lot: B}\nsamples:\n"
     )
     sample = "  - {id: b, source: more, container: xrd_holder, mass: 50 mg}\n"
     recipe.write_text(recipe.read_text().replace("samples:\n", more) + sample)
+
+
+def follow(lab: LabFolder, message: str) -> list[str]:
+    """Write the proposed places into the cell's file; which stations they are of."""
+    proposed = re.findall(r"'(\w+)' at (\[[^]]*\])", message)
+    cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+    for station, place in proposed:
+        cell, changed = re.subn(rf"(\n  {station}: .*position: )\[[^]]*\]", rf"\g<1>{place}", cell)
+        assert changed == 1
+    lab.write("robot/cell.yaml", cell)
+    return [station for station, _ in proposed]
+
+
+@pytest.mark.slow
+def test_two_mortars_that_stand_badly_are_proposed_places_at_once(lab: LabFolder) -> None:
+    """Over the second the arm cannot even stand: it is to have no way there as long as the first is looked for."""
+    with_two_mortars(lab)
     lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[460 mm, 230 mm, 0 mm]")
     lab.replace("robot/cell.yaml", "[200 mm, -240 mm, 0 mm]", "[290 mm, -90 mm, 0 mm]")
-    for station, stood in (("mortar_bay", "[460 mm, 230 mm, 0 mm]"), ("mortar_bay_2", "[290 mm, -90 mm, 0 mm]")):
-        (message,) = blocked(lab)
-        assert f"{station}'" in message.split(". With")[0] or f"at {station} " in message, "why, of the same one"
-        proposed = re.search(rf"With '{station}' at (\[.*\]) it can scoop there", message)
-        assert proposed is not None, message
-        lab.replace("robot/cell.yaml", stood, proposed[1])
+    (message,) = blocked(lab)
+    why, _ = message.split(" With ")
+    assert re.search(r"mortar_bay\b.*; .*mortar_bay_2\b", why), "why, of both"
+    assert follow(lab, message) == ["mortar_bay", "mortar_bay_2"]
     assert blocked(lab) == []
+
+
+def strokes_where(monkeypatch: pytest.MonkeyPatch, possible: Callable[[str, dict[str, Point]], bool]) -> None:
+    """Strokes are possible where that says so, by the station's name and where all stations are; other ways all are."""
+
+    def swing_and_out(motion: Any, cell: CellSpec, source: Source, *_: Any, is_brief: bool) -> float:
+        if not possible(source.station, {name: one.position_mm for name, one in cell.stations.items()}):
+            raise SkillFailed(Code.ARM_NO_PATH, "none")
+        return 4.0
+
+    monkeypatch.setattr(ways, "swing_and_out", swing_and_out)
+    monkeypatch.setattr(MotionPlanner, "prepare", lambda *_: None)
+
+
+def test_a_place_that_two_mortars_would_have_is_proposed_to_one_and_another_to_the_other(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second also stands well on a stand, elsewhere than where it is, which is told in words."""
+    with_two_mortars(lab)
+    shared, raised = (180.0, 210.0, 0.0), (220.0, -260.0, 20.0)
+
+    def possible(station: str, at_mm: dict[str, Point]) -> bool:
+        return at_mm[station] == shared or (station, at_mm[station]) == ("mortar_bay_2", raised)
+
+    strokes_where(monkeypatch, possible)
+    (message,) = blocked(lab)
+    assert message.endswith(
+        "With 'mortar_bay' at [180 mm, 210 mm, 0 mm] and 'mortar_bay_2' at [220 mm, -260 mm, 20 mm], on a stand of "
+        "20 mm, it can scoop there, and carry what it has scooped to where it goes"
+    )
+    follow(lab, message)
+    assert blocked(lab) == []
+
+
+def test_of_two_mortars_that_are_in_each_others_way_one_stays(lab: LabFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_two_mortars(lab)
+    here = {"mortar_bay": (200.0, 240.0, 0.0), "mortar_bay_2": (200.0, -240.0, 0.0)}
+    strokes_where(monkeypatch, lambda _, at_mm: any(at_mm.get(name) != place_mm for name, place_mm in here.items()))
+    (message,) = blocked(lab)
+    assert re.search(r"With 'mortar_bay' where it is and 'mortar_bay_2' at \[.* it can scoop there", message)
+    assert follow(lab, message) == ["mortar_bay_2"]
+    assert blocked(lab) == []
+
+
+def test_a_mortar_that_would_do_nowhere_is_named_though_another_would_somewhere(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with_two_mortars(lab)
+    strokes_where(monkeypatch, lambda station, at_mm: station == "mortar_bay" and at_mm[station][0] < 200.0)
+    (message,) = blocked(lab)
+    assert "'mortar_bay_2' may be at none of the places that were tried, nor on stands" in message
+    assert "With" not in message
 
 
 def test_a_bowl_of_which_a_stroke_may_bring_next_to_nothing_is_told_before_a_run_takes_it_for_empty(
@@ -317,8 +386,9 @@ def test_what_a_bowl_fails_by_at_one_place_is_asked_first_at_the_next(monkeypatc
     demand: Any = SimpleNamespace(source=bowl)
     found = []
 
-    def no_last_bed(*asked: Any) -> None:
+    def no_last_bed(*asked: Any, at_length: bool) -> None:
         found.append(asked[3:])
+        assert not at_length
         if asked[3] < 9e3:
             raise SkillFailed("arm.no_path", "no stroke")
 
@@ -378,7 +448,7 @@ def test_a_mortar_with_so_thin_a_floor_that_handle_and_wrist_come_too_low_is_pro
     recipe = lab.folder / "recipes" / "one.yaml"
     recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
     (message,) = blocked(lab)
-    assert "With 'mortar_bay' at [200 mm, 240 mm, 20 mm] it can scoop there" in message
+    assert "With 'mortar_bay' at [200 mm, 240 mm, 20 mm], on a stand of 20 mm, it can scoop there" in message
     lab.replace("robot/cell.yaml", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240 mm, 20 mm]")
     assert blocked(lab) == []
 

@@ -90,7 +90,7 @@ class Adaptive:
         """What was on the pan before; when there was a stable mean last."""
         self._vibration = request.powder.vibration
         self._barren_s = self._barren_mg = 0.0
-        """Open and fully shaken, without powder; what there was as the opening began, or as powder came last."""
+        """Open and fully shaken, without powder; what there was when some came last, or as this opening began."""
         self._fruitless = 0
         """Openings in a row that brought nothing."""
         self._has_come = False
@@ -142,8 +142,8 @@ class Adaptive:
         """What an opening and its look have told."""
         known = self._known
         gained_mg = known.bank.mass_mg - known.begin_mg
-        if known.room_mg <= FAR_MG and self._given_up != "empty":  # else a fresh load brings the rest sooner
-            self._note_gain()
+        if self._given_up != "empty":  # else a fresh load brings the rest sooner
+            self._note_gain(CAME_SHARE * CAME_MG if known.room_mg > FAR_MG else COMES_MG)
         expected_mg = known.reference * sum(row.phi_s for row in known.rows)
         came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), CAME_NOISES * known.noise.quiet_mg)
         self._has_come |= came
@@ -199,6 +199,11 @@ class Adaptive:
         return self._known.bank.mass_mg - self._start_mg
 
     @property
+    def _is_fresh_sooner(self) -> bool:
+        """Whether a fresh load brings the rest sooner than what still trickles out of this one."""
+        return self._known.room_mg > FAR_MG or self._given_up == "empty"
+
+    @property
     def _is_lumpy(self) -> bool:
         return self._known.bank.surge_mg > LUMPY_MG
 
@@ -218,7 +223,7 @@ class Adaptive:
             return "reached"
         most_mg = known.most_mg if known.knows_balance else min(known.most_mg, bank.mass_mg + PROBE_MG)
         opening = Opening(known, most_mg, self._lump_mg())
-        self._barren_mg = bank.mass_mg
+        self._barren_mg = bank.mass_mg if self._is_fresh_sooner else min(self._barren_mg, bank.mass_mg)
         while True:
             hold_s = opening.hold_s(width_mm := opening.width_mm())
             score = yield from known.act(width_mm, self._vibration, hold_s)
@@ -227,17 +232,17 @@ class Adaptive:
                 return seen
             if self._vibration >= FULL:
                 self._barren_s += min(known.rows[-1].dt_s, hold_s)
-            self._note_gain()
+            self._note_gain(COMES_MG)
             if self._gave_out() is not None:
                 return "dry"
             if known.time_s - self._weighed_s > LONGEST_UNWEIGHED_S:
                 return "long"
 
-    def _note_gain(self) -> None:
-        """Whether powder has come: after short openings most is seen when the valve is shut."""
+    def _note_gain(self, least_mg: float) -> None:
+        """Whether powder has come: after short openings, or on a slow balance, most is seen when the valve is shut."""
         bank = self._known.bank
         gained_mg = bank.mass_mg - self._barren_mg
-        if gained_mg > COMES_MG and gained_mg > COMES * bank.mass_sd_mg:
+        if gained_mg > least_mg and gained_mg > COMES * bank.mass_sd_mg:
             self._barren_s, self._barren_mg = 0.0, bank.mass_mg
 
     def _lump_mg(self) -> float:

@@ -6,13 +6,11 @@ straight down where a workflow says so; and for each mortar a stroke, in some di
 with and in the one that it leaves, with the way out of it.
 """
 
-import itertools
-import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from itertools import combinations, islice, product
 
 import numpy as np
 
-from scuhand_bt.bench_spec import Obstacle, Point, Station, turned
 from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell_spec import CellSpec
@@ -20,28 +18,25 @@ from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.ladle import NoStrokeError, Stroke
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
-from scuhand_bt.motion.cell_solids import are_in_each_other, full_mortar, solids_of
 from scuhand_bt.recipe.demand import Demand
 from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.run.mortar_places import Place, places_for
 from scuhand_bt.run.stroke_ways import (
     LEAST_BED_MG,
     MortarCannotBeScooped,
     headings_deg,
     require_first,
+    stroke_in,
     strokes_along,
     strokes_in_jar,
     swing_and_out,
     wishes_mg,
 )
-from scuhand_bt.specs import ContainerKind, Mortar, Source
+from scuhand_bt.specs import ContainerKind, Source
 
 LOWERING_M_PER_S = 0.06
-OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
-"""Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
-STANDS_MM = (20.0, 40.0)
-"""Or on a stand, as high as this, where it is: handle and wrist come low beside a mortar that is flat and thin."""
-BESIDE_MM, STOOD_ON_MM = 10.0, 1.0
-"""What it is to be clear of what stands beside it; and what comes no higher than that is under it."""
+MOST_TRIED, MOST_EACH = 16, 4
+"""Of the places for all mortars that stand badly so many are tried together; and so many for each but the last one."""
 
 
 class MortarStandsBadly(SkillFailed):
@@ -55,8 +50,8 @@ class MortarStandsBadly(SkillFailed):
 def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind]) -> None:
     """Plan all of them; SkillFailed arm.* for one that there is not.
 
-    MortarStandsBadly says where that mortar might stand instead: what is proposed has all the ways. No place helps
-    where MortarCannotBeScooped is raised.
+    MortarStandsBadly says where mortars might stand instead, all that stand badly: what is proposed has all the ways.
+    No place helps where MortarCannotBeScooped is raised.
     """
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
     for demand in scooped:
@@ -66,16 +61,24 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
     except MortarCannotBeScooped:
         raise
     except SkillFailed:
+        _require_strokes(cell, scooped)
         motion.patience_s = 0.0  # from now on only whether there is a way counts, and not how quick it is
         lacks = [_lacks(motion, cell, kinds, demand) for demand in scooped]
-        badly = [(demand, lack) for demand, lack in zip(scooped, lacks, strict=True) if lack is not None]
+        badly = [demand for demand, lack in zip(scooped, lacks, strict=True) if lack is not None]
+        whys = [lack for lack in lacks if lack is not None]
         if not badly:
             raise
-        (first, why), *others = badly
-        left_out = {demand.source.station for demand, _ in others}
-        rest = [demand for demand, lack in zip(scooped, lacks, strict=True) if lack is None]
-        where = _elsewhere(motion, plan, cell, kinds, [first, *rest], left_out)
-        raise MortarStandsBadly(why.code, f"{why.detail}. {where}", first.source.station) from None
+        where = _Elsewhere(motion, plan, cell, kinds, scooped, badly).said()
+        why = "; ".join(lack.detail for lack in whys)
+        raise MortarStandsBadly(whys[0].code, f"{why}. {where}", badly[0].source.station) from None
+
+
+def _require_strokes(cell: CellSpec, scooped: Sequence[Demand]) -> None:
+    """MortarCannotBeScooped for a bowl that holds a bed, on a plan's way, of which no stroke brings anything."""
+    for demand in scooped:
+        if demand.source.mortar.corner_mm is None:
+            for bed_mg in _beds_mg(demand):
+                stroke_in(cell, demand.source, bed_mg)
 
 
 def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> list[tuple[str, str, float]]:
@@ -89,12 +92,16 @@ def _lacks(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind]
     source = demand.source
     try:
         motion.set_geometry()
-        for station, place, limit_deg in _carries(cell, source, kinds):
-            motion.move(motion.standing_at(station), place, spill_limit_deg=limit_deg)
+        _carried(motion, cell, source, kinds)
         _strokes(motion, cell, demand)
     except SkillFailed as failure:
         return failure
     return None
+
+
+def _carried(motion: MotionPlanner, cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> None:
+    for station, place, limit_deg in _carries(cell, source, kinds):
+        motion.move(motion.standing_at(station), place, spill_limit_deg=limit_deg)
 
 
 def _beds_mg(demand: Demand) -> list[float]:
@@ -115,7 +122,7 @@ def _ways(
     limits_deg = {demand.source.name: _limit_deg(cell, demand.source) for demand in scooped}
     motion.prepare(pans, [carry for demand in scooped for carry in _carries(cell, demand.source, kinds)])
     _with_fresh_sheet(motion, cell, pans)
-    for (kind, place), demand in itertools.product(pans, scooped):
+    for (kind, place), demand in product(pans, scooped):
         motion.set_geometry(container=kind)
         begin, limit_deg = motion.standing_at(demand.source.station), limits_deg[demand.source.name]
         for from_above_mm in sorted(above_mm for over, above_mm in plan.descents if over == place):
@@ -142,7 +149,7 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
         return
     for kind in (None, *(kind for kind, _ in pans)):
         motion.set_geometry(fresh_mm / 1000, kind)
-        for first, second in itertools.combinations([name for name in motion.places if name not in over], 2):
+        for first, second in combinations([name for name in motion.places if name not in over], 2):
             motion.move(motion.standing_at(first), second)
     motion.set_geometry()
 
@@ -157,10 +164,13 @@ def _strokes(motion: MotionPlanner, cell: CellSpec, demand: Demand) -> None:
 
 
 def _strokes_there(motion: MotionPlanner, cell: CellSpec, demand: Demand, asked_mg: list[tuple[float, float]]) -> None:
-    """Those of a bowl at one of several places: what fails comes first in `asked_mg`, for the next one."""
+    """Those at one of several places, soon found: what fails of a bowl comes first in `asked_mg`, for the next one."""
+    if demand.source.mortar.corner_mm is not None:
+        strokes_in_jar(motion, cell, demand)
+        return
     for number, (bed_mg, wanted_mg) in enumerate(asked_mg):
         try:
-            _stroke(motion, cell, demand.source, bed_mg, wanted_mg)
+            _stroke(motion, cell, demand.source, bed_mg, wanted_mg, at_length=False)
         except SkillFailed:
             asked_mg.insert(0, asked_mg.pop(number))
             raise
@@ -168,12 +178,21 @@ def _strokes_there(motion: MotionPlanner, cell: CellSpec, demand: Demand, asked_
 
 def _asked_mg(demand: Demand) -> list[tuple[float, float]]:
     """The beds of a bowl, and what is wanted of each."""
-    return list(itertools.product(_beds_mg(demand), wishes_mg(demand)))
+    return list(product(_beds_mg(demand), wishes_mg(demand)))
 
 
-def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float, wanted_mg: float) -> None:
-    """A stroke in some direction, and from its end to where loads are carried from: at length only where that is not
-    soon found for any.
+def _stroke(
+    motion: MotionPlanner,
+    cell: CellSpec,
+    source: Source,
+    bed_mg: float,
+    wanted_mg: float,
+    *,
+    at_length: bool = True,
+) -> None:
+    """A stroke in some direction, and from its end to where loads are carried from.
+
+    `at_length`: that is searched for longer where it is not soon found for any.
     """
     why, tried = "", list[Stroke]()
 
@@ -190,108 +209,104 @@ def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float
         if is_possible(stroke, is_brief=True):
             return
         tried.append(stroke)
-    if any(is_possible(stroke, is_brief=False) for stroke in tried):
+    if at_length and any(is_possible(stroke, is_brief=False) for stroke in tried):
         return
     where = f"at '{source.station}' no stroke is possible in any direction"
     raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
 
-def _elsewhere(
-    motion: MotionPlanner,
-    plan: Plan,
-    cell: CellSpec,
-    kinds: Sequence[ContainerKind],
-    scooped: Sequence[Demand],
-    left_out: Collection[str],
-) -> str:
-    """Where the first one's mortar might stand, of some places about the arm the nearest that has all ways, or else
-    where it is, higher; a sentence.
+class _Elsewhere:
+    """Where all mortars that stand badly might stand instead, so that a plan has all its ways."""
 
-    All are looked at with the mortar there: strokes, loads carried to the pan, and the same for the others. To the
-    stations that are left out, which are to be moved as well, nothing has a way.
-    """
-    source = scooped[0].source
-    station = cell.stations[source.station]
-    x_mm, y_mm, z_mm = station.position_mm
-    places = [
-        (
-            round(out_mm * math.cos(math.radians(turn_deg)), -1),
-            round(out_mm * math.sin(math.radians(turn_deg)), -1),
-            z_mm,
-        )
-        for out_mm, turn_deg in itertools.product(OUT_MM, (*TURNS_DEG, *(-turn_deg for turn_deg in TURNS_DEG)))
-    ]
-    places.sort(key=lambda place_mm: math.dist(place_mm, station.position_mm))
-    asked_mg = [] if source.mortar.corner_mm is not None else _asked_mg(scooped[0])
-    for wished_mm in (*places, *((x_mm, y_mm, z_mm + stand_mm) for stand_mm in STANDS_MM)):
-        written_mm, place_mm = _as_written(station, wished_mm)
-        if not _has_room(cell, station.name, place_mm, source):
-            continue
-        there = station.model_copy(update={"position_mm": place_mm})
-        moved = cell.model_copy(update={"stations": {**cell.stations, station.name: there}})
-        sources = plan.recipe.sources
-        planner = MotionPlanner(motion.urdf, moved, {one.station: one.mortar for one in sources.values()})
-        planner.patience_s = motion.patience_s
-        gone_to = {name: one for name, one in sources.items() if one.station not in left_out}
+    def __init__(
+        self,
+        motion: MotionPlanner,
+        plan: Plan,
+        cell: CellSpec,
+        kinds: Sequence[ContainerKind],
+        scooped: Sequence[Demand],
+        badly: Sequence[Demand],
+    ) -> None:
+        self._motion, self._plan, self._cell, self._kinds = motion, plan, cell, kinds
+        self._scooped, self._badly, self._sources = scooped, badly, list(plan.recipe.sources.values())
+        self._asked_mg = {demand.source.station: _asked_mg(demand) for demand in badly}
+        self._is_good = dict[Place, bool]()
+
+    def said(self) -> str:
+        """These places, or that none that were tried would do; a sentence."""
+        look_at = "look at `scuhand-bt reach --task scoop`"
+        names = [f"'{one.source.station}'" for one in self._badly if not any(self._good(one, []))]
+        if names:
+            return f"{' and '.join(names)} may be at none of the places that were tried, nor on stands: {look_at}"
+        for together in islice(self._together([], self._badly), MOST_TRIED):
+            if self._do([place for place in together if place.is_elsewhere]):
+                there = " and ".join(place.said() for place in together)
+                return f"With {there} it can scoop there, and carry what it has scooped to where it goes"
+        names = [f"'{one.source.station}'" for one in self._badly]
+        return f"Of the places that were tried for {' and '.join(names)} none leaves the arm all its ways: {look_at}"
+
+    def _together(self, placed: Sequence[Place], left: Sequence[Demand]) -> Iterator[Sequence[Place]]:
+        """Places that are good for each by itself, and clear of each other."""
+        if not left:
+            yield placed
+            return
+        demand, *others = left
+        for place in islice(self._good(demand, placed), MOST_EACH if others else None):
+            yield from self._together([*placed, place], others)
+
+    def _good(self, demand: Demand, placed: Sequence[Place]) -> Iterator[Place]:
+        """Those for one mortar beside others that are placed: with what stands badly put aside it has its ways there.
+
+        Its strokes are soon found, and it is in the way of no other place.
+        """
+        source = demand.source
+        aside = {one.source.station for one in self._badly} - {source.station}
+        cell = self._cell_with(placed, aside)
+        beside = [one for one in self._sources if one.station not in aside - {place.station for place in placed}]
+        for place in places_for(cell, source, beside, may_stay=bool(aside)):
+            if place not in self._is_good:
+                self._is_good[place] = self._is_good_at(place, demand, aside)
+            if self._is_good[place]:
+                yield place
+
+    def _is_good_at(self, place: Place, demand: Demand, aside: Collection[str]) -> bool:
+        cell = self._cell_with([place], aside)
+        standing = [one for one in self._sources if one.station not in aside]
         try:
-            for name, position_mm in all_places(moved, gone_to, kinds).items():
-                planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
-            _strokes_there(planner, moved, scooped[0], asked_mg)
-            _ways(planner, plan, moved, kinds, scooped)
-        except MortarCannotBeScooped:
-            raise
+            planner = self._planner(cell, standing)
+            _strokes_there(planner, cell, demand, self._asked_mg[place.station])
+            _carried(planner, cell, demand.source, self._kinds)
+            for name in planner.places:
+                planner.standing_at(name)
         except SkillFailed:
-            continue
-        at = ", ".join(f"{mm:g} mm" for mm in written_mm)
-        return f"With '{station.name}' at [{at}] it can scoop there, and carry what it has scooped to where it goes"
-    return f"'{station.name}' may be at none of the places that were tried: look at `scuhand-bt reach --task scoop`"
-
-
-def _as_written(station: Station, place_mm: Point) -> tuple[Point, Point]:
-    """How the cell's file has a place for a station, to 0.1 mm, and where what is written there really is."""
-    if (frame := station.of_frame) is None:
-        return place_mm, place_mm
-    x_mm, y_mm, z_mm = (round(mm, 1) + 0.0 for mm in frame.written_mm(place_mm))
-    return (x_mm, y_mm, z_mm), frame.moved_mm((x_mm, y_mm, z_mm))
-
-
-def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], source: Source) -> bool:
-    """Whether the mortar there would be clear of other stations, and of what stands as high as it does."""
-    half_mm = source.mortar.outer_diameter_mm / 2 + BESIDE_MM
-    for other in cell.stations.values():
-        if (
-            other.name != name
-            and other.kind in ("mortar", "waste")
-            and math.dist(other.position_mm[:2], place_mm[:2]) < (2 * half_mm)
-        ):
             return False
-    for solid in cell.geometry:
-        if solid.box_mm is not None:
-            wide_mm, deep_mm, high_mm = solid.box_mm
-        elif solid.cylinder_mm is not None:
-            (deep_mm, high_mm), wide_mm = solid.cylinder_mm, solid.cylinder_mm[0]
-        else:
-            if _stands_in_mesh(solid, place_mm, source.mortar):
-                return False
-            continue
-        is_as_high = abs(solid.at_mm[2] - place_mm[2] - source.mortar.height_mm / 2) < (
-            (high_mm + source.mortar.height_mm) / 2
-        )
-        aside_mm = (place_mm[0] - solid.at_mm[0], place_mm[1] - solid.at_mm[1])
-        x_mm, y_mm = turned(*aside_mm, -math.radians(solid.yaw_deg))  # as a box lies
-        if is_as_high and abs(x_mm) < wide_mm / 2 + half_mm and abs(y_mm) < deep_mm / 2 + half_mm:
+        return True
+
+    def _do(self, moved: Sequence[Place]) -> bool:
+        """Whether with mortars at these places the plan has all its ways; with none moved it has not."""
+        if not moved:
             return False
-    return True
+        cell = self._cell_with(moved, ())
+        try:
+            _ways(self._planner(cell, self._sources), self._plan, cell, self._kinds, self._scooped)
+        except SkillFailed:
+            return False
+        return True
 
+    def _cell_with(self, moved: Sequence[Place], aside: Collection[str]) -> CellSpec:
+        """The cell without the stations that are put aside, and with these where they are moved to."""
+        there = {place.station: place.really_mm for place in moved}
+        stations = {
+            name: station.model_copy(update={"position_mm": there.get(name, station.position_mm)})
+            for name, station in self._cell.stations.items()
+            if name in there or name not in aside
+        }
+        return self._cell.model_copy(update={"stations": stations})
 
-def _stands_in_mesh(solid: Obstacle, place_mm: Point, mortar: Mortar) -> bool:
-    """Whether its surface is where the mortar would be, but for what that stands on.
-
-    In one that encloses it no way of the arm is found.
-    """
-    x_mm, y_mm, z_mm = place_mm
-    there = Station(name="there", kind="mortar", position_mm=(x_mm, y_mm, z_mm + STOOD_ON_MM))
-    height_mm = mortar.height_mm - STOOD_ON_MM
-    wide = {"outer_diameter_mm": mortar.outer_diameter_mm + 2 * BESIDE_MM, "height_mm": height_mm}
-    (surface,) = solids_of([solid])
-    return are_in_each_other(full_mortar(there, mortar.model_copy(update=wide)), surface)
+    def _planner(self, cell: CellSpec, standing: Sequence[Source]) -> MotionPlanner:
+        """One of a cell in which these mortars stand; SkillFailed for a place that the arm cannot reach."""
+        planner = MotionPlanner(self._motion.urdf, cell, {one.station: one.mortar for one in standing})
+        planner.patience_s = self._motion.patience_s
+        for name, position_mm in all_places(cell, {one.name: one for one in standing}, self._kinds).items():
+            planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+        return planner
