@@ -11,7 +11,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.study.night import better_order, fates, in_words, read_night
 from scuhand_bt.study.odds import Odds, odds_of
-from scuhand_bt.study.stays import stays_in_words
+from scuhand_bt.study.stays import stays_in_words, unforeseen_in_words
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
 
 NIGHT = read_night("20:00-08:00")
@@ -220,6 +220,15 @@ def test_what_a_dry_run_asks_a_person_nobody_answers_at_night(desk: Desk) -> Non
     for many, why in ((1, None), (2, "in 2 of 20 dry runs a person was asked for something before its end")):
         odds = odds_of(plan, [*[whole] * (20 - many), *[asked] * many])
         assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, None, why, why]
+
+
+def test_a_plan_tells_where_dry_runs_asked_a_person_for_what_it_does_not_know_of(plan: Plan) -> None:
+    change = "change powder to monosodium_glutamate for m-1"
+    whole = trial_of(plan, 60.0)
+    assert [*unforeseen_in_words(plan, odds_of(plan, [replace(whole, asked_s={change: 70.0})] * 4))] == []
+    odds = odds_of(plan, [whole, whole, whole, replace(whole, asked_s={change: 70.0, "m-2": 150.0})])
+    (said,) = unforeseen_in_words(plan, odds)
+    assert said.startswith("In dry runs a person was also asked for something at m-2, which need not come: ")
 
 
 @pytest.mark.slow

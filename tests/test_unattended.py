@@ -1,6 +1,7 @@
 """Who is needed, and when: the policy `ask`, and unattended runs, which need nobody or are refused."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import Desk, LabFolder, problems_of
@@ -12,6 +13,8 @@ from scuhand_bt.recipe.plan import Plan, check_unattended, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.operator import Nobody
 from scuhand_bt.run.options import Options
+from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.resume import Resumable, checked_history, find_run, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 
@@ -106,6 +109,77 @@ def test_what_no_plan_foresees_fails_instead_of_waiting(tmp_path: Path, asks: bo
         session.close()
     assert result.exit_code == (0 if asks else 3)
     assert result.samples[0].code == (None if asks else "operator.absent")
+
+
+REDO = """\
+recipe: redo
+workflow: scoop_and_dispense
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}
+defaults: {source: beads, container: pellet_die_13mm, mass: 100 mg}
+samples: [{id: a}, {id: b}]
+on_failure: {dose.overshoot: redo, otherwise: stop}
+overshoot_limit: 0
+"""
+
+
+@pytest.mark.parametrize(
+    ("slots", "unattended", "again"),
+    [
+        ("2", True, []),
+        ("3", True, ["a"]),
+        ("{xrd_holder: 9, pellet_die_13mm: 2}", True, []),
+        ("{xrd_holder: 1, pellet_die_13mm: 4}", True, ["a", "b"]),
+        ("2", False, ["a", "b"]),
+    ],
+)
+def test_unattended_no_sample_is_done_once_more_in_what_another_one_needs(
+    lab_folder: LabFolder, tmp_path: Path, slots: str, unattended: bool, again: list[str]
+) -> None:
+    """The last sample had no container, and nobody was there to fill the changer."""
+    lab_folder.replace("robot/cell.yaml", "slots: 24", f"slots: {slots}")
+    lab = lab_folder.load()
+    plan = make_plan(load_recipe(lab_folder.write("recipes/redo.yaml", REDO), lab), lab)
+    options = Options(DryRun(plant="test_run_batch:Gusher"), "paper", tmp_path / "runs", unattended=unattended)
+    session = Session(plan, lab, options, shared_planner(plan, lab))
+    try:
+        result = session.run(Watching())
+    finally:
+        session.close()
+    assert [(one.verdict, one.code) for one in result.samples] == [("over", "dose.overshoot")] * 2
+    assert [one.id for one in result.samples if one.attempt == 2] == again
+    said = "not done once more: the changer has no container to spare, and nobody is there to fill it"
+    assert [said in one.detail for one in result.samples] == [one.id not in again for one in result.samples]
+
+
+class StopsAgain(Watching):
+    """Stops the run when a sample is being done once more, its container on the pan."""
+
+    def ticked(self, root: Any) -> None:
+        super().ticked(root)
+        assert self.session is not None
+        pan = self.session.cell.believed.pan
+        if pan is not None and pan.id == "a#2":
+            self.session.control.wish("stop_now")
+
+
+def test_what_was_begun_once_more_is_gone_on_with(lab_folder: LabFolder, tmp_path: Path) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: 3")
+    lab, runs = lab_folder.load(), tmp_path / "runs"
+    plan = make_plan(load_recipe(lab_folder.write("recipes/redo.yaml", REDO), lab), lab)
+    options = Options(DryRun(plant="test_run_batch:Gusher"), "paper", runs, unattended=True)
+
+    def run(watching: Watching, found: Resumable | None = None) -> BatchResult:
+        watching.session = Session(plan, lab, options, shared_planner(plan, lab), resumes=found)
+        try:
+            return watching.session.run(watching)
+        finally:
+            watching.session.close()
+
+    stopped = run(StopsAgain()).samples[0]
+    assert (stopped.attempt, stopped.verdict) == (2, "interrupted")
+    path = find_run(runs, "last")
+    a, b = run(Watching(), resumable(path, checked_history(path), plan, lab, accept_changes=False)).samples
+    assert (a.attempt, a.verdict, b.attempt) == (2, "over", 1)
 
 
 def test_nobody_answers_with_a_failure_at_once() -> None:

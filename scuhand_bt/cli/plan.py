@@ -93,7 +93,7 @@ def plan(
     rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
     out.print(f"\nSheet swaps between samples: {made.swaps}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
-    if all(person.job is None for person in made.persons):
+    if all(person.job is None for person in made.persons) and not _is_asked_all_the_same(made, odds):
         out.print("After the start no person is needed.")
     for person in made.persons:
         when = odds.person_s(person.job or "") if odds is not None else None
@@ -172,12 +172,19 @@ def _odds(made: "Plan", ended: "Iterable[Trial]") -> "Odds":
     return odds_of(made, sorted(ended, key=lambda one: one.seed))
 
 
+def _is_asked_all_the_same(made: "Plan", odds: "Odds | None") -> bool:
+    from scuhand_bt.study import unforeseen
+
+    return odds is not None and bool(unforeseen(made, odds))
+
+
 def _of_persons(
     made: "Plan", lab: "Lab", odds: "Odds", hours: "Night | None", tried: "Callable[[Plan], Odds]"
 ) -> Iterator[str]:
     """How often somebody comes, and what is done in hours in which nobody does."""
-    from scuhand_bt.study import in_words, stays_in_words
+    from scuhand_bt.study import in_words, stays_in_words, unforeseen_in_words
 
+    yield from unforeseen_in_words(made, odds)
     yield from stays_in_words(made, odds, hours)
     if hours is not None:
         yield from in_words(made, lab, odds, hours, tried)

@@ -1,6 +1,7 @@
 """The batch: a plan's jobs one after the other, what to do when one fails, and a verdict for every sample."""
 
 import traceback
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
@@ -39,7 +40,7 @@ class Batch:
     """Runs a plan on a cell, or goes on with it from what `history` has. `true_mass_mg` judges a simulated dose.
 
     `first` is what is to be settled with the operator before the first job; `after_job` is called when a job has
-    ended and all that is known of it is in the journal.
+    ended and all that is known of it is in the journal. `unattended`: nobody fills the changer on the way.
     """
 
     def __init__(
@@ -56,8 +57,11 @@ class Batch:
         after_job: Callable[[], None] = lambda: None,
         substitutes: Substitutes | None = None,
         consent: Consent | None = None,
+        *,
+        unattended: bool = False,
     ) -> None:
         self._plan = plan
+        self._unattended = unattended
         self._cell = cell
         self._library = library
         self._journal = journal
@@ -186,6 +190,10 @@ class Batch:
             action = "flag" if failure is None else self._action_for(sample, failure, attempt)
             if action == "redo" and attempt > 1:
                 action = "flag"
+            if failure is not None and action == "redo" and not self._may_redo(job, sample):
+                action = "flag"
+                no_more = "not done once more: the changer has no container to spare, and nobody is there to fill it"
+                failure = SkillFailed(failure.code, f"{failure.detail}; {no_more}")
             verdict: SampleVerdict | None = "skipped" if action == "skip_sample" else None
             recorded = self._history.samples.get((sample.id, attempt))
             if recorded is not None and self._was_over(job.name, attempt):
@@ -208,6 +216,17 @@ class Batch:
             if action != "redo":
                 return None
             attempt += 1
+
+    def _may_redo(self, job: Job, sample: Sample) -> bool:
+        """Whether the changer has containers for it beside those of all samples to come, or somebody fills it."""
+        if not self._unattended or (job.name, 2) in self._history.jobs:
+            return True
+        believed, changer = self._cell.believed, self._cell.spec.changer
+        to_come = [one.sample for one in self._plan.jobs[self._plan.jobs.index(job) + 1 :] if one.sample is not None]
+        containers = [container for one in (sample, *to_come) for container in one.all_containers]
+        wanted = Counter(container.name if changer.kinds else "" for container in containers)
+        used = believed.slots_of_kinds if changer.kinds else {"": believed.slots_used}
+        return all(used.get(kind, 0) + many <= changer.slots_for(kind) for kind, many in wanted.items())
 
     def _count_overshoots(self, result: SampleResult) -> None:
         """Whichever the powder: samples share the balance and the valve. One that was not dosed tells nothing."""

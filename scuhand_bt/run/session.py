@@ -279,6 +279,7 @@ class Session:
             after_job=self._records.after_job,
             substitutes=self._substitutes,
             consent=SingleStep(self.cell, self.control) if self._options.single_step else None,
+            unattended=self._options.unattended,
         )
         try:
             result = batch.run()

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from scuhand_bt.quantity import counted, format_duration
+from scuhand_bt.quantity import counted, format_duration, listed
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.study.night import Night
 from scuhand_bt.study.odds import Odds, Range
@@ -37,6 +37,21 @@ def stays(plan: Plan, odds: Odds) -> Iterator[Stay]:
         jobs.append(job.name)
         last = when
     yield Stay(tuple(jobs), first.low, last.high)
+
+
+def unforeseen(plan: Plan, odds: Odds) -> list[str]:
+    """The jobs that need no person by the plan, and in which dry runs asked one for something."""
+    needed = {person.job for person in plan.persons}
+    return [job for job in odds.asked_s if job not in needed]
+
+
+def unforeseen_in_words(plan: Plan, odds: Odds) -> Iterator[str]:
+    """Nothing where there is none."""
+    if jobs := unforeseen(plan, odds):
+        yield (
+            f"In dry runs a person was also asked for something at {listed(jobs, 'job')}, which need not come: what "
+            "to do with a sample that failed, say, or to fill the changer for one that is done once more."
+        )
 
 
 def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]:
