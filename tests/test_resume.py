@@ -22,7 +22,7 @@ from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.run_events import Paused
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.problems import SourceError
-from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.plan import Job, Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.report.live import PlainLines
 from scuhand_bt.run.control import Control
@@ -618,3 +618,68 @@ def test_a_container_that_went_before_its_sample_was_interrupted_confirms_it_whe
     assert run.go(WatchBracket()).exit_code == 130
     ended = run.go(Watch(), resumes=True)
     assert [(sample.id, sample.is_good) for sample in ended.samples] == [("a", True), ("b", True)]
+
+
+class StopOnce(Watch):
+    """Stops a run once a sheet that has touched this lot (None: a fresh one) is in the hand within a job."""
+
+    def __init__(self, job: str, sheet: str | None) -> None:
+        super().__init__()
+        self._job, self._sheet, self._at_work = job, sheet, ""
+
+    def attempt_started(self, job: Job, attempt: int) -> None:
+        self._at_work = job.name
+
+    def ticked(self, root: Any) -> None:
+        if (self._at_work, self.session.cell.believed.sheet) == (self._job, self._sheet):
+            self.session.control.wish("stop_now")
+
+
+MIXED = """
+workflow: mixed
+inputs: {first: Source, second: Source, container: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $first, container: $container, mass: $mass, tolerance: $tolerance}
+    FAILS
+    - change_powder: {source: $first}
+    - fill: {source: $second, container: $container, mass: $mass, tolerance: $tolerance}
+    - park:
+"""
+AFTER_MIXED = """
+recipe: two
+workflow: fill_xrd_holder
+order: as_written
+defaults: {container: alumina_crucible, mass: 50 mg, tolerance: 5 mg}
+samples:
+  - {id: blend, workflow: mixed, first: msg, second: beads}
+  - {id: plain, source: beads}
+on_failure: {otherwise: skip_sample}
+"""
+CHANGE = "change powder to glass_beads for plain after msg"
+
+
+@pytest.mark.parametrize("sheet", ["monosodium_glutamate", None])
+def test_a_run_that_ended_while_a_sheet_was_changed_that_no_plan_has_goes_on_with_it(
+    tmp_path: Path, sheet: str | None
+) -> None:
+    """A mixture has failed with the sheet of its first powder, and the next sample begins with the second."""
+    mixed = MIXED.replace("FAILS", "- invert: {wait: {duration: 1 s}}")
+    run = Run(tmp_path, make_lab(tmp_path / "lab", trees__mixed=mixed), AFTER_MIXED)
+    run.go(StopOnce(CHANGE, sheet))
+    assert read(run.journal, "job")[-1]["name"] == CHANGE
+    assert read(run.journal, "job")[-1]["outcome"] != "done"
+    resumed = run.go(Watch(), resumes=True)
+    assert [sample.verdict for sample in resumed.samples] == ["skipped", "in tolerance"]
+    assert [(row["name"], row["outcome"]) for row in read(run.journal, "job")].count((CHANGE, "done")) == 1
+    assert [skill for skill, outcome in actions(run.journal) if outcome == "done"].count("swap_sheet") == 1
+
+
+def test_a_mixture_that_is_taken_up_again_keeps_the_sheet_of_its_second_powder(tmp_path: Path) -> None:
+    mixed = MIXED.replace("FAILS", "- wait: {duration: 1 s}")
+    run = Run(tmp_path, make_lab(tmp_path / "lab", trees__mixed=mixed), AFTER_MIXED)
+    run.go(StopOnce("blend", "glass_beads"))
+    assert run.go(Watch(), resumes=True).exit_code == 0
+    assert [row["name"] for row in read(run.journal, "job")] == ["blend", "plain", "finish the batch"]

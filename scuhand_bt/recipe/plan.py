@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing.jars import COUNTED_ON_DEG, JarBed, after_dose, has_way
 from scuhand_bt.dosing.ladle import Ladle
 from scuhand_bt.lab import CELL_FILE, Lab
@@ -148,6 +149,33 @@ def recoveries(sample: Sample) -> list[Job]:
     ]
 
 
+def sheet_changes(sample: Sample, recipe: Recipe, library: Library, cell: CellSpec) -> list[Job]:
+    """Before this sample, of a sheet that has touched another lot than it begins with: a job for each source of those.
+
+    That is planned where the samples before it come to their ends; where one has failed within a mixture it is found
+    out. A resumed run knows by the job's name which one it was.
+    """
+    first, workflow = next(iter(sample.sources), None), changing_workflow(library, cell)
+    if first is None or workflow not in library.workflows:
+        return []
+    return [
+        Job(f"{_change_name(sample)} after {source.name}", workflow, {"source": source})
+        for source in recipe.sources.values()
+        if source.sheet_key != first.sheet_key
+    ]
+
+
+def changing_workflow(library: Library, cell: CellSpec) -> str:
+    """By which the sheet is changed between samples, where the lab has it."""
+    name = CLEAR_AND_CHANGE_POWDER
+    has_it = name in library.workflows or library.broken.of("workflow", name)  # one that is broken is said to be
+    return name if has_it and cell.changer.driver != "operator" else CHANGE_POWDER
+
+
+def _change_name(sample: Sample) -> str:
+    return f"change powder to {sample.sources[0].sheet_key} for {sample.id}"
+
+
 def check_unattended(plan: Plan) -> None:
     """Raises SourceError for a plan that needs a person: each place that asks for one, once."""
     by_mark: dict[Mark, list[PersonNeeded]] = {}
@@ -254,15 +282,11 @@ def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterat
 def _jobs(lab: Lab, samples: Iterable[Sample]) -> Iterator[Job]:
     """The jobs, each with a name of its own, by which a resumed run knows it: no sample's id has a blank in it."""
     last: Source | None = None
-    changing, library, name = CHANGE_POWDER, lab.library, CLEAR_AND_CHANGE_POWDER
-    has_it = name in library.workflows or library.broken.of("workflow", name)  # one that is broken is said to be
-    if has_it and lab.cell.changer.driver != "operator":
-        changing = name
+    changing = changing_workflow(lab.library, lab.cell)
     for sample in samples:
         for first in sample.sources[:1]:
             if last is not None and first.sheet_key != last.sheet_key:
-                name = f"change powder to {first.sheet_key} for {sample.id}"
-                yield Job(name, changing, {"source": last})
+                yield Job(_change_name(sample), changing, {"source": last})
             last = sample.last_source
         yield _job(sample)
     if last is not None and FINISH_BATCH in lab.library.workflows:

@@ -16,7 +16,7 @@ from scuhand_bt.journal.history import STOPPED, History, read_history
 from scuhand_bt.journal.results import Chosen, SampleResult, SampleVerdict, SoFar
 from scuhand_bt.journal.run_events import Broken, Ended
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries
+from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries, sheet_changes
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
@@ -177,6 +177,8 @@ class Batch:
         attempt = 1
         while True:
             before = self._history.jobs.get((job.name, attempt))
+            if (ended := self._change_sheet(sample, attempt, has_begun=before is not None)) is not None:
+                return ended
             began_s = self._cell.clock.now_s if before is None else before.began_s
             outcome = self._run_job(job, inputs_for(sample, attempt), sample.id, attempt)
             failure = outcome.failure
@@ -275,6 +277,14 @@ class Batch:
         begun = [job for job in jobs if (job.name, attempt) in self._history.jobs]
         of_cone = [job for job in jobs if job.inputs["source"].name == self._cell.believed.cone_source]
         return self._run_service([*begun, *of_cone, *jobs][0], attempt)
+
+    def _change_sheet(self, sample: Sample, attempt: int, *, has_begun: bool) -> Ended | None:
+        """A fresh sheet for a sample that begins with another lot than the one before, which has failed, has left."""
+        changes = sheet_changes(sample, self._plan.recipe, self._library, self._cell.spec)
+        begun = [job for job in changes if (job.name, attempt) in self._history.jobs]
+        sheet = None if has_begun else self._cell.believed.sheet
+        due = [*begun, *(job for job in changes if job.inputs["source"].sheet_key == sheet)]
+        return self._run_service(due[0], attempt) if due else None
 
     def _run_job(self, job: Job, inputs: Mapping[str, Any], sample_id: str | None, attempt: int) -> Outcome:
         """Run a job to its end, over all pauses that halt it; what it did before the run was resumed is replayed."""

@@ -15,7 +15,8 @@ from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.lab import TEST_SUFFIX, Lab, files_of, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.recipe.plan import Plan, recoveries
+from scuhand_bt.recipe.plan import Job, Plan, recoveries, sheet_changes
+from scuhand_bt.recipe.sample import Sample
 
 LAB_FOLDERS = ("robot", "skills", "trees")
 
@@ -102,7 +103,7 @@ def resumable(
     No acceptance lets another job come before what has begun: it would take the pan and the cone from under it. Nor one
     that divides the changer's slots otherwise: which containers have been used is known by them.
     """
-    if overtaken := (*_overtaken(history, plan), *_other_slots(history, lab)):
+    if overtaken := (*_overtaken(history, plan, lab), *_other_slots(history, lab)):
         raise SourceError([Problem(Mark(str(path)), what) for what in overtaken])
     changes = tuple(_changes(history, plan, lab))
     if changes and not accept_changes:
@@ -122,17 +123,23 @@ def lab_files(lab: Path) -> dict[str, str]:
     return files
 
 
-def _overtaken(history: History, plan: Plan) -> Iterator[str]:
+def _overtaken(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
     """What had begun, and is no longer the next thing to do in this plan."""
     begun, names = {name for name, _ in history.jobs}, [job.name for job in plan.jobs]
     if (unfinished := history.unfinished()) is not None:
-        of_recovery = {after.name: job.name for job in plan.jobs if job.sample for after in recoveries(job.sample)}
-        name = of_recovery.get(unfinished[1], unfinished[1])  # a recovery is no job of the plan's
+        samples = [job.sample for job in plan.jobs if job.sample is not None]
+        unplanned = {job.name: sample.id for sample in samples for job in _unplanned(sample, plan, lab)}
+        name = unplanned.get(unfinished[1], unfinished[1])
         if name not in names:
             yield f"'{name}' was under way, and this plan has it no more; put it back, to skip it use `on_failure`"
     new = next((number for number, name in enumerate(names) if name not in begun), len(names))
     if (later := next((name for name in names[new:] if name in begun), None)) is not None:
         yield f"'{later}' had begun, and in this plan '{names[new]}' comes before it; put what is new behind it"
+
+
+def _unplanned(sample: Sample, plan: Plan, lab: Lab) -> list[Job]:
+    """What may be done before or after a sample without being a job of the plan's, as one has failed."""
+    return [*recoveries(sample), *sheet_changes(sample, plan.recipe, lab.library, lab.cell)]
 
 
 def _other_slots(history: History, lab: Lab) -> Iterator[str]:
