@@ -120,7 +120,8 @@ class Scoop(Skill[Milligrams]):
         most_mg = aim * source.powder.load_limit_mg / max(1.0, yielded)
         wanted_mg = most_mg
         if self.wanted_mg is not None:
-            wanted_mg = scooped_for_mg(self.wanted_mg) / yielded
+            wanted_mg = scooped_for_mg(self.wanted_mg, source.powder, is_discarded=source.is_discarded) / yielded
+            wanted_mg += bed.missed_mg  # else it goes no deeper than the last, as that much may be on its way
         is_jar = source.mortar.corner_mm is not None
         pressed_mm = min(self.over_travel_mm, LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand))
         # A hand that is as low as it may be cannot press: where it can nowhere, the lip follows the wall.

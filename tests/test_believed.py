@@ -489,6 +489,14 @@ def test_loads_that_do_not_give_the_last_milligrams_of_a_dose_tell_nothing_of_th
     assert (believed.barren_sources, believed.yields) == (barren, yields)
 
 
+def test_what_a_load_lacked_that_gave_nothing_of_a_doses_last_lies_beside_so_that_the_next_stroke_goes_deeper() -> None:
+    """They went on at one gap, with 6 g left, until the dose was given up."""
+    believed = Believed()
+    believed.scooped(BEADS, 500.0, Layer(4.0, 6000.0))
+    believed.gave_out(is_short=True, lacked_mg=8.0)
+    assert believed.missed_mg == {"beads": 500.0}
+
+
 def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_nothing_of_scoops() -> None:
     believed = Believed()
     for came_mg in (0.0, 30.0, 0.0):

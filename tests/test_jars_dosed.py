@@ -133,7 +133,7 @@ def test_a_jar_is_refilled_before_the_first_dose_that_is_not_sure_to_come(lab_fo
     for name in ("jar", "gone"):
         plan = make_plan(load_recipe(lab_folder.folder / "recipes" / f"{name}.yaml", lab), lab)
         first[name] = next(job.name for job in plan.jobs if job.workflow == "refill")
-    assert first == {"jar": "refill msg for s8", "gone": "refill msg for s2"}
+    assert first == {"jar": "refill msg for s8", "gone": "refill msg for s3"}
 
 
 @pytest.mark.slow
@@ -153,7 +153,7 @@ def test_a_jar_that_is_refilled_loses_no_dose(tmp_path: Path) -> None:
             "no way along the floor of a jar of 60 mm bore .*; a bore of 75 mm \\(if there is room for it\\)",
         ),
         (jar(depth_mm=70.0), "flange and mortar_bay wall"),
-        (jar(floor_mm=3.0), r"With 'mortar_bay' at \[200 mm, 240 mm, 20 mm\] it can scoop there"),
+        (jar(floor_mm=3.0), r"With 'mortar_bay' at \[200 mm, 240 mm, 20 mm\], on a stand of 20 mm, it can scoop there"),
     ],
     ids=["narrow", "deep", "low"],
 )

@@ -249,6 +249,24 @@ on_failure: {otherwise: stop}
     assert believed.sources_mg["msg"] == pytest.approx(world.masses_mg["source:msg"], abs=400.0)
 
 
+def test_after_a_scoop_that_brought_nothing_the_next_one_goes_deeper_however_little_is_wanted(tmp_path: Path) -> None:
+    """What the first has missed may be on the way of the next: with that little went beyond what was wanted."""
+    recipe = """
+recipe: r
+workflow: fill_crucible
+sources:
+  msg: {station: mortar_bay, container: agate_mortar, powder: monosodium_glutamate, amount: 16 g}
+defaults: {source: msg, container: alumina_crucible, tolerance: 2 mg}
+leftover: discard
+samples: [{id: a, mass: 100 mg}, {id: b, mass: 100 mg}]
+"""
+    faults = "faults: [{fault: scoop.nothing, sample: b}]"
+    ran = dry_run(tmp_path, recipe, controller="adaptive", faults=faults)
+    _, barren, next_one = (scoop["gap_mm"] for scoop in told(ran, "scoop"))
+    assert next_one < barren - 0.5
+    assert set(ended(ran).values()) == {("in tolerance", None)}
+
+
 class Heaviest:
     """A plant that notes how much scoops have brought."""
 

@@ -169,8 +169,9 @@ class BelievedPowder:
         if load.scooped_mg > 0.0 and not load.is_barren:
             if is_wide or not is_short:
                 self._scoops_brought(name, load)
-        elif load.scooped_mg > 0.0 and is_wide:
-            self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
+        elif load.scooped_mg > 0.0:
+            if is_wide:
+                self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
             self._lies_beside(name, load.scooped_mg)
         if is_short:
             self._set(is_load_doubted=True)

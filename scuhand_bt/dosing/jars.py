@@ -247,7 +247,8 @@ def after_dose(
     the dose is not sure to come.
     NoStrokeError where the hand can make none in such a vessel.
     """
-    wanted_mg, brought_mg = min(scooped_for_mg(dose_mg), LOAD_AIM * bed.powder.load_limit_mg), 0.0
+    wanted_mg = scooped_for_mg(dose_mg, bed.powder, is_discarded=is_discarded)
+    wanted_mg, brought_mg = min(wanted_mg, LOAD_AIM * bed.powder.load_limit_mg), 0.0
     sure = SURE_SHARE * (1.0 - LAST_SHARE) if is_discarded else SURE_SHARE
     while sure * brought_mg < dose_mg:
         worth = (one for one in bed.strokes(wanted_mg, headings_deg) if bed.expected_mg(one) >= LEAST_MG)

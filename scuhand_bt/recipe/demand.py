@@ -60,7 +60,7 @@ def discarded_mg(sample: Sample, source: Source) -> float:
         return 0.0
     most_mg = LOAD_AIM * source.powder.load_limit_mg
     last_mg = takes_mg - most_mg * (math.ceil(takes_mg / most_mg) - 1)
-    return min(scooped_for_mg(last_mg), most_mg) - last_mg
+    return min(scooped_for_mg(last_mg, source.powder, is_discarded=True), most_mg) - last_mg
 
 
 def lent_mg(samples: Sequence[Sample], source: Source) -> float:

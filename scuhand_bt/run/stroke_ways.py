@@ -144,8 +144,9 @@ def _first(cell: CellSpec, source: Source, bed_mg: float) -> tuple[Stroke, float
 
 def wishes_mg(demand: Demand) -> list[float]:
     """What scoops of a plan are to bring: the most, and what its smallest dose asks for, by the highest stroke."""
-    limit_mg = demand.source.powder.load_limit_mg
-    return list(dict.fromkeys([limit_mg, min(limit_mg, scooped_for_mg(min(demand.doses_mg)))]))
+    source, limit_mg = demand.source, demand.source.powder.load_limit_mg
+    least_mg = scooped_for_mg(min(demand.doses_mg), source.powder, is_discarded=source.is_discarded)
+    return list(dict.fromkeys([limit_mg, min(limit_mg, least_mg)]))
 
 
 def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
