@@ -218,14 +218,14 @@ def test_a_recipe_that_says_more_is_told_where_and_who_says_otherwise(desk: Desk
 
 def test_what_is_discarded_of_the_inventorys_figure_is_told_where_it_is_asked_which_is_right(desk: Desk) -> None:
     discarding = RECIPE.replace("samples:", "leftover: discard\nsamples:")
-    gone = "its samples need 150.0 mg with losses, and as scoops bring more than a dose some 2.0 g are discarded before"
-    (doubt,) = _doubts(desk, powder(2000.0), recipe=discarding)
-    assert f"2.0000 g of glass_beads/L7 by the inventory (run r1, today), {gone}" in doubt.what
+    gone = "its samples need 150.0 mg with losses, and as scoops bring more than a dose some 0.6 g are discarded before"
+    (doubt,) = _doubts(desk, powder(600.0), recipe=discarding)
+    assert f"600.0 mg of glass_beads/L7 by the inventory (run r1, today), {gone}" in doubt.what
     assert doubt.question.endswith(
-        f"or about 2.0000 g (inventory)? Of about 2.0000 g {gone} the last one: it may run out."
+        f"or about 600.0 mg (inventory)? Of about 600.0 mg {gone} the last one: it may run out."
     )
     assert [name for name, _ in doubt.answers] == ["recipe", "inventory"]
-    assert gone not in noted(desk, powder(2300.0), recipe=discarding)[0]
+    assert gone not in noted(desk, powder(800.0), recipe=discarding)[0]
     assert gone not in noted(desk, powder(100.0), recipe=discarding)[0], "that is too little whatever is discarded"
 
 

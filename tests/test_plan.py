@@ -234,7 +234,7 @@ DISCARDING = """
 recipe: discarding
 workflow: fill_crucible
 leftover: discard
-sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 6 g}}
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 3 g}}
 defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
 samples: [{id: a, mass: 300 mg, repeat: 4}]
 """
@@ -283,13 +283,14 @@ def test_a_mortar_whose_kept_powder_may_go_to_samples_of_another_of_its_lot_is_w
 @pytest.mark.parametrize(
     ("old", "new", "gone"),
     [
-        ("", "", "6.9 g"),  # 2 x 300 mg and 2 g, less what is dosed, after three of them
-        ("amount: 6 g", "amount: 9 g", None),
+        ("", "", "2.4 g"),  # 2 x 300 mg and 0.5 g, less what is dosed, after three of them
+        ("amount: 3 g", "amount: 6 g", None),
+        ("powder: glass_beads, amount: 3 g", "powder: titanium_dioxide, amount: 4.5 g", "3.9 g"),  # and 1 g
         ("repeat: 4", "repeat: 1", None),
         ("leftover: discard\n", "", None),
         ("leftover: discard", "leftover: return", None),
-        ("amount: 6 g", "amount: 6 g, refill: 3 g", None),
-        ("mass: 300 mg, repeat: 4", "mass: 2.5 g, repeat: 2", "2.2 g"),
+        ("amount: 3 g", "amount: 3 g, refill: 3 g", None),
+        ("mass: 300 mg, repeat: 4", "mass: 700 mg, repeat: 3", "2.4 g"),
     ],
 )
 def test_a_mortar_that_may_run_out_as_powder_is_discarded_is_warned_of(

@@ -80,6 +80,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         bench = Bench(shipped_powders()["glass_beads"], 50.0)
+        bench.cell.arm.hold([0.0] * 7)  # type: ignore[attr-defined]  # aside: containers are changed
         self.bench, self.clock = bench, bench.clock
         self.events = list[SkillEvent | Note]()
         self.pan: Any = Pan(bench.clock, DISH.empty_mass_mg + 50.0)
