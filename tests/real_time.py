@@ -17,8 +17,8 @@ from _pytest.runner import runtestprotocol  # no public hook runs a test again w
 ATTEMPTS = 3
 WAIT_S = 60.0
 """The longest wait for the load to fall, before another attempt."""
-LATE_MS = 20.0
-"""A computer that wakes a thread so late, or has more to do than cores, is no measure of times."""
+LATE_MS, TAKEN = 20.0, 0.9
+"""A computer that wakes a thread so late, or of whose cores others want so large a share, is no measure of times."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Business:
 
     @property
     def is_too_much(self) -> bool:
-        return self.load > cores() or self.late_ms > LATE_MS
+        return self.load > TAKEN * cores() or self.late_ms > LATE_MS
 
     def __str__(self) -> str:
         return f"load {self.load:.1f} on {cores()} cores, a thread woken {self.late_ms:.0f} ms late"

@@ -55,6 +55,17 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(real_time, "LATE_MS", 1e9)
 
 
+@pytest.mark.parametrize(("load", "attempts"), [(1.7, 1), (1.9, 3)])
+@pytest.mark.usefixtures("busy")
+def test_a_computer_whose_cores_are_all_wanted_by_others_is_busy(
+    inner: Inner, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, load: float, attempts: int
+) -> None:
+    monkeypatch.setattr(real_time, "load", lambda: load)
+    monkeypatch.setattr(real_time, "LATE_MS", 1e9)
+    inner(FAILS)
+    assert tries(pytester) == attempts
+
+
 def tries(pytester: pytest.Pytester) -> int:
     return len((pytester.path / "tries").read_text())
 
