@@ -479,7 +479,7 @@ def test_a_real_run_asks_before_another_lot_comes_to_what_earlier_runs_have_put_
     real(into_jar, lab=lab)
     first = in_jar()
     assert first is not None
-    assert (first.lot_key, (first.mass_mg or 0.0) > 1000.0) == ("glass_beads/L7", True)
+    assert (first.lot_key, (first.mass_mg or 0.0) > 300.0) == ("glass_beads/L7", True)
     Inventory(tmp_path, "starter").enter(powder(5000.0))
     real(into_jar, Answering(), lab=lab)
     second = in_jar()

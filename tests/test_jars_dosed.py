@@ -110,13 +110,13 @@ def test_check_counts_on_no_more_of_a_jar_than_its_strokes_bring(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("doses", "is_enough"), [(2, True), (4, False)])
+@pytest.mark.parametrize(("doses", "is_enough"), [(3, True), (4, False)])
 def test_check_counts_what_is_thrown_away_of_a_jar(lab_folder: LabFolder, doses: int, is_enough: bool) -> None:
-    """The fourth dose of such a jar came to 245 mg of 300, and no stroke brought more."""
+    """Of such a jar three doses came in each of eight dry runs, and four in one that asked for nine."""
     problems = found(lab_folder, jar(), recipe([300.0] * doses) + "leftover: discard\n")
     assert len(problems) == (not is_enough)
     for problem in problems:
-        assert "bring 2 of its doses (" in problem.message
+        assert "bring 3 of its doses (" in problem.message
         assert "are needed, what is left of each load is thrown away" in problem.message
         assert "say `leftover: return`, with which they all are, fill in more" in problem.message
 
