@@ -116,7 +116,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("cell",),
     ),
     Code.ARM_NOT_OVER_PAN: Failure(
-        "Powder was to be let out, and the cone is not over the container on the pan.",
+        "Powder was to be let out, and the cone is not over the mouth of the container on the pan.",
         "Put `move_over:` before `dispense` in the workflow, and behind each `scoop` or `park`.",
     ),
     Code.ARM_NOT_FOLLOWING: Failure(

@@ -37,7 +37,6 @@ from scuhand_bt.skill import (
     BalanceDoubted,
     Cell,
     Code,
-    Container,
     Dose,
     DoseBegun,
     DoseWeighed,
@@ -257,24 +256,24 @@ class Dispense(Skill[Dose]):
         container = cell.believed.pan
         if container is None or cell.believed.bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
-        if self._aside_mm(cell, container) > ASIDE_MM:
-            yield from cell.move_to(over_balance(cell.spec, container)[0])
+        place, _ = over_balance(cell.spec, container)
+        if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
+            yield from cell.move_to(place)
         yield from weigh_broken_off(cell, at_most=True)
 
-    def _require_over(self, cell: Cell) -> None:
-        """What falls anywhere else is lost, and looks like powder that does not flow."""
-        container = cell.believed.pan
-        if container is not None and (aside_mm := self._aside_mm(cell, container)) > ASIDE_MM:
+    @staticmethod
+    def _require_over(cell: Cell) -> None:
+        """What falls beside the mouth is lost, and looks like powder that does not flow.
+
+        A real arm stands some millimetres aside of where it was sent: that falls into most mouths.
+        """
+        container, aside_mm = cell.believed.pan, cell.aside_of_pan_mm()
+        if container is not None and aside_mm > container.mouth_mm / 2:
             raise SkillFailed(
                 Code.ARM_NOT_OVER_PAN,
-                f"the cone's apex is {aside_mm:.0f} mm from its place over '{container.id}': `move_over` comes before "
-                "`dispense`",
+                f"the cone's apex is {aside_mm:.0f} mm aside of the pan's middle, and the mouth of '{container.id}' is "
+                f"{container.mouth_mm:g} mm wide: `move_over` comes before `dispense`",
             )
-
-    @staticmethod
-    def _aside_mm(cell: Cell, container: Container) -> float:
-        """How far the apex is from its place over a container."""
-        return math.dist(cell.apex_mm(), over_balance(cell.spec, container)[1])
 
     def request(self, cell: Cell) -> DoseRequest:
         """What its controller is asked for, by what is known of powder, balance and hand now."""

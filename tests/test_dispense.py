@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from dose_bench import BAY, DISH, MORTAR, OVER_PAN, Bench, shipped_powders
 
+from scuhand_bt.cell.places import over_balance
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
@@ -399,12 +400,15 @@ def test_what_a_balance_that_is_not_believed_shows_of_a_dose_is_said_though_it_i
         rig.dispense(50.0)
 
 
-def test_the_valve_stays_shut_where_the_cone_is_not_over_the_container(rig: Rig) -> None:
-    rig.bench.cell.arm.hold([0.1, *OVER_PAN[1:]])  # type: ignore[attr-defined]
-    with pytest.raises(SkillFailed, match=r"arm\.not_over_pan: the cone's apex is 33 mm from its place over 'dish'"):
+def test_the_valve_stays_shut_where_the_cone_is_not_over_the_containers_mouth(rig: Rig) -> None:
+    """330 mm out, and the mouth is 55 mm wide; a real arm is a few aside of where it was sent."""
+    rig.bench.cell.arm.hold([0.09, *OVER_PAN[1:]])  # type: ignore[attr-defined]
+    with pytest.raises(SkillFailed, match=r"arm\.not_over_pan: the cone's apex is 30 mm aside .* is 55 mm wide"):
         rig.dispense(50.0)
     assert rig.brings == [50.0], "nothing was let out"
     assert rig.kept(Dose) == []
+    rig.bench.cell.arm.hold([0.08, *OVER_PAN[1:]])  # type: ignore[attr-defined]
+    assert rig.dispense(50.0).verdict == "in tolerance"
 
 
 def test_two_loads_that_brought_nothing_are_told_as_such(rig: Rig) -> None:
@@ -533,6 +537,8 @@ def test_the_valve_opens_once_the_empty_containers_weighing_is_on_disk(rig: Rig)
 def test_a_container_that_weighs_less_after_a_dose_broke_off_is_another_one(rig: Rig, skill: str) -> None:
     """30 mg less were taken for a dose of -30 mg, and 80 mg were dosed into it for 50."""
     believed = rig.cell.believed
+    place, _ = over_balance(rig.cell.spec, DISH)
+    rig.cell = replace(rig.cell, places_mm={place: rig.cell.apex_mm()})
     inputs = {"mass_mg": TARGET_MG, "tolerance_mg": TOLERANCE_MG} if skill == "dispense" else {}
     believed.dosing_towards(TARGET_MG, BEADS.name, Gross(25_000.0, 0.0, rig.clock.now_s))
     believed.dosing_ended(5.0, 25_005.0)

@@ -279,7 +279,7 @@ class Batch:
         return self._run_service([*begun, *of_cone, *jobs][0], attempt)
 
     def _change_sheet(self, sample: Sample, attempt: int, *, has_begun: bool) -> Ended | None:
-        """A fresh sheet for a sample that begins with another lot than the one before, which has failed, has left."""
+        """A fresh sheet, where one that has failed has left another lot on it than this sample begins with."""
         changes = sheet_changes(sample, self._plan.recipe, self._library, self._cell.spec)
         begun = [job for job in changes if (job.name, attempt) in self._history.jobs]
         sheet = None if has_begun else self._cell.believed.sheet
