@@ -8,7 +8,6 @@ full speed has no time to spare, so that all of what the watching takes is seen.
 import argparse
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from pathlib import Path
 from statistics import median
 
 from benchmarks.figures import show
+from harness.ports import unused_port
 from scuhand_bt.lab import starter_lab
 
 LOOKS_PER_S = 20
@@ -56,9 +56,7 @@ def looks_of(port: int, over: threading.Event, answers: list[int]) -> None:
 
 def watched_s(answers: list[int]) -> float:
     """The cost of a run with a viewer."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = unused_port()
     over = threading.Event()
     thread = threading.Thread(target=looks_of, args=(port, over, answers))
     thread.start()

@@ -3,13 +3,14 @@
 import os
 import pwd
 import shutil
-import socket
 import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from harness.ports import unused_port
 
 OWNER = "postgres"
 """Who runs it where root asks: it does not run as root. Debian's package makes this user."""
@@ -62,9 +63,7 @@ class Server:
 @contextmanager
 def server() -> Iterator[Server]:
     """A new one, that trusts this computer."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        made = Server(Path(tempfile.mkdtemp(prefix="scuhand-postgres-")), free.getsockname()[1])
+    made = Server(Path(tempfile.mkdtemp(prefix="scuhand-postgres-")), unused_port())
     try:
         if os.getuid() == 0:
             os.chown(made.folder, pwd.getpwnam(OWNER).pw_uid, -1)

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import pytest
 from conftest import REPOSITORY, Call, LabFolder
 
+from harness.ports import unused_port
 from scuhand_bt import api
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.lab import Lab
@@ -207,9 +208,7 @@ def test_whatever_is_asked_is_answered_as_behaviortree_cpp_answers_it(
         '<root BTCPP_format="4"><BehaviorTree ID="A"><Sequence><AlwaysSuccess/></Sequence></BehaviorTree></root>'
     )
     tree = factory.create_tree("A")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = unused_port(together=2)  # theirs listens at the next one, too
     theirs = bt.Groot2Publisher(tree, port)
     asked: list[tuple[bytes, ...]] = [
         *((header(kind),) for kind in "TSDAXt"),
@@ -320,10 +319,8 @@ def test_who_asks_without_end_gets_a_few_hundred_answers_a_second(publisher: Pub
 
 def test_run_shows_its_tree_at_the_port_and_nowhere_but_on_this_computer(command: Call, lab_folder: LabFolder) -> None:
     recipe = lab_folder.write("recipes/one.yaml", json.dumps({"recipe": "one", **RECIPE}))
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-        free.listen()
+    port = unused_port()
+    with socket.create_server(("127.0.0.1", port)):
         taken = command("run", recipe, "--dry-run", "--groot", port)
     assert taken.returncode == 2
     assert f"cannot listen at port {port}" in taken.stderr.replace("\n", " ")
