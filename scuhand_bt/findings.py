@@ -121,6 +121,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "not-asked": Finding(
             "A workflow doses another mass, or more coarsely, than its sample asks.", "Wire $mass and $tolerance."
         ),
+        "lot-twice": _warning(
+            "A dose that a sample asks for is followed by another of its lot into its container: there they are one.",
+            "Another lot for one of them, or another container.",
+        ),
         "unknown-demand": Finding(
             "How much a sample takes of which of its sources cannot be told before the run.",
             "Dispense a mass that is written, an input of the workflow, or one with a bound: min(…, 100 mg).",
