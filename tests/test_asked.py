@@ -251,6 +251,7 @@ AGAIN = FILL.replace("$mass", "$gross")
 @pytest.mark.parametrize(
     ("steps", "is_warned"),
     [
+        ([AGAIN], False),
         ([FILL, AGAIN], True),
         ([AGAIN, FILL], False),
         (["fallback: [{" + FILL + "}, {" + AGAIN + "}]"], False),
