@@ -725,7 +725,7 @@ def test_a_composed_sample_without_one_of_its_powders_is_not_as_asked() -> None:
     one = result(BOTH[0], of=BLEND)
     assert (one.verdict, reached_by(one)[0]) == ("not as asked", "not known")
     none = result(of=BLEND)
-    assert (none.verdict, none.target_mg, none.is_good) == ("no dose", 100.0, False)
+    assert (none.verdict, none.target_mg, none.is_good) == ("no dose", 200.0, False)
     wrong = result(BOTH[0], dose(150.0, 150.0, lot=SALT), of=BLEND)
     assert (wrong.verdict, reached_by(wrong)[0]) == ("not as asked", "out of tolerance")
 

@@ -82,7 +82,7 @@ def sample_result(
     number = max(asked, default=len(found) - 1)
     main, of_main = (found[number], last[number]) if found else (None, None)
     missing = [ask for ask in sample.asks if ask not in asked.values()]
-    target_mg = main.target_mg if main and (asked or not missing) else sample.asks[0].mass_mg if sample.asks else None
+    target_mg = main.target_mg if main and (asked or not missing) else sample.asks[-1].mass_mg if sample.asks else None
     result = SampleResult(
         id=sample.id,
         container=sample.container.name if sample.container else None,

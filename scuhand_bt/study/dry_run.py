@@ -13,11 +13,13 @@ from pathlib import Path
 from scuhand_bt.events.cell import Discarded, Kept, Refilled, Returned, Scooped
 from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.events import Asked
+from scuhand_bt.journal.results import DoseResult, SampleResult
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Job, Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.prepared_motion import prepared_motion
@@ -72,8 +74,7 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
         SampleTrial(
             one.id,
             one.is_good,
-            one.target_mg is None
-            or (one.true_mg is not None and abs(one.true_mg - one.target_mg) <= (one.tolerance_mg or 0.0)),
+            _is_truly_good(one, sample),
             one.verdict,
             one.code,
             one.target_mg,
@@ -81,7 +82,7 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
             one.true_mg,
             one.duration_s,
         )
-        for one in result.samples
+        for one, sample in zip(result.samples, plan.recipe.samples, strict=True)
     )
     had_mg = {name: before_mg.get(f"source:{name}", 0.0) + told.refilled_mg[name] for name in names}
     used_mg = {name: had_mg[name] - after_mg.get(f"source:{name}", 0.0) for name in names}
@@ -95,6 +96,23 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
         used_mg,
         {name: dict(mg) for name, mg in became_mg.items()},
         told.asked_s,
+    )
+
+
+def _is_truly_good(one: SampleResult, sample: Sample) -> bool:
+    """Whether its containers hold what was to come into each, by the simulation; that tells no lots apart."""
+    if not one.doses:
+        return one.is_good
+    lots = {take.source.sheet_key for take in sample.takes}
+    if one.verdict == "not as asked" or not lots <= {dose.lot for dose in one.doses}:
+        return False
+    of_containers = defaultdict[str, list[DoseResult]](list)
+    for dose in one.doses:
+        of_containers[dose.container].append(dose)
+    return all(
+        abs((doses[0].true_mg or 0.0) - sum(dose.target_mg for dose in doses))
+        <= sum(dose.tolerance_mg for dose in doses)
+        for doses in of_containers.values()
     )
 
 

@@ -47,7 +47,7 @@ class SampleTrial:
     good: bool
     """In tolerance and confirmed, by its weighings."""
     truly_good: bool
-    """By the simulated mass."""
+    """By the simulated masses, of all of its containers."""
     verdict: str
     code: str | None
     target_mg: float | None
