@@ -75,6 +75,12 @@ class Fleet:
         words = ("station", "--dry-run", "--resume", "--name", name, "--lab", str(self.labs[name]))
         self.running[name] = self._program(*words, stdout=self.log, stderr=self.log)
 
+    def see_to(self) -> None:
+        """A station that has ended by itself, as its database was away when it began, begins again: systemd's part."""
+        for name, program in list(self.running.items()):
+            if program.poll() is not None:
+                self.start(name)
+
     def kill(self, name: str, *, with_run: bool) -> None:
         program = self.running.pop(name)
         if with_run:
@@ -112,6 +118,7 @@ def chaos(folder: Path, server: Server, *, kills: int, seed: int, pause_s: tuple
             fleet.start(name)
         _await_stations(fleet)
         while done.kills.total() < kills:
+            fleet.see_to()
             submitter, to_kill = fleet.submit(done.kills.total()), rng.random() < 0.3
             time.sleep(rng.uniform(*pause_s))
             if to_kill and submitter.poll() is None:
@@ -146,7 +153,11 @@ def _await_stations(fleet: Fleet) -> None:
 
 
 def _await_end(fleet: Fleet) -> None:
-    _await(lambda: all(job.status not in ("todo", "doing") for job in fleet.jobs()))
+    def is_at_its_end() -> bool:
+        fleet.see_to()
+        return all(job.status not in ("todo", "doing") for job in fleet.jobs())
+
+    _await(is_at_its_end)
 
 
 def _await(is_so: Any) -> None:

@@ -121,6 +121,14 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "not-asked": Finding(
             "A workflow doses another mass, or more coarsely, than its sample asks.", "Wire $mass and $tolerance."
         ),
+        "redo-shifts": _warning(
+            "A sample done once more takes the next one's container from the changer, which may be of another kind.",
+            "Slots by kind in robot/cell.yaml, or `flag` in place of `redo` and `ask`.",
+        ),
+        "lot-twice": _warning(
+            "A dose that a sample asks for is followed by another of its lot into its container: there they are one.",
+            "Another lot for one of them, or another container.",
+        ),
         "unknown-demand": Finding(
             "How much a sample takes of which of its sources cannot be told before the run.",
             "Dispense a mass that is written, an input of the workflow, or one with a bound: min(…, 100 mg).",

@@ -63,6 +63,7 @@ class PlaceContainer(Skill[None]):
                 bare=bare.written(),
                 loaded=loaded.written(),
                 delay_s=step.delay_s if step is not None else None,
+                slot=believed.slots[container.id] + 1 if container.id in believed.slots else None,
             )
         )
         if mass_mg < container.empty_mass_mg / 10:

@@ -3,6 +3,8 @@
 import pytest
 from conftest import Desk, LabFolder
 
+from scuhand_bt.run.checking import check
+
 RECIPE = """\
 recipe: asked
 workflow: mine
@@ -204,6 +206,70 @@ def test_one_place_that_is_wrong_for_many_samples_is_said_once(desk: Desk, lab_f
     samples = tuple(SAMPLE.replace("id: a", f"id: {name}") for name in "abc")
     (problem,) = said(desk, lab_folder, PLACE, FILL.replace("$mass", "25 mg"), samples=samples)
     assert "sample 'a' asks for; this one is of 25 mg (and 2 more samples like it); write $mass" in problem
+
+
+MIX_TREE = """\
+workflow: mix
+inputs: {first: Source, second: Source, into: Container, mass: Mass, ratio: Ratio}
+tree: {sequence: [
+  fill: {source: $first, container: $into, mass: $mass, as: one},
+  swap_sheet: ,
+  fill: {source: $second, container: $into, mass: %s}]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("second", "mass", "found"),
+    [
+        ("beads", "$ratio * $one.dispensed", ["error"]),  # which is at most 26 mg
+        ("beads", "2 * $ratio * $one.dispensed", ["warning"]),
+        ("beads", "$ratio * $mass", ["error"]),
+        ("beads", "2 * $ratio * $mass", []),
+        ("msg", "2 * $ratio * $one.dispensed", []),
+    ],
+)
+def test_a_dose_that_is_asked_for_and_another_of_its_lot_behind_it_are_one(
+    lab_folder: LabFolder, second: str, mass: str, found: list[str]
+) -> None:
+    """A mixture of a lot with itself overshot by all that was there, or had its second mass alone in its row."""
+    lab_folder.write("trees/mix.yaml", MIX_TREE % mass)
+    sample = "id: a, first: beads, into: alumina_crucible, mass: 50 mg, ratio: 50 %"
+    recipe = lab_folder.write("recipes/r.yaml", f"{RECIPE.replace('mine', 'mix')}  - {{{sample}, second: {second}}}\n")
+    problems = [
+        one for one in check(lab_folder.load(), recipe, fast=True).problems if one.code in ("not-asked", "lot-twice")
+    ]
+    assert ["warning" if one.is_warning else "error" for one in problems] == found
+    for one in problems:
+        assert one.mark.line == 6
+        if "dispensed" in mass:
+            assert "this later dose is of the same lot, into the same container: the two are one there" in one.message
+
+
+AGAIN = FILL.replace("$mass", "$gross")
+
+
+@pytest.mark.parametrize(
+    ("steps", "is_warned"),
+    [
+        ([AGAIN], False),
+        ([FILL, AGAIN], True),
+        ([AGAIN, FILL], False),
+        (["fallback: [{" + FILL + "}, {" + AGAIN + "}]"], False),
+        ([FILL, "optional: {" + AGAIN + "}"], False),
+        (["if: {when: $gross > 1 g, then: {" + FILL + "}, else: {" + AGAIN + "}}"], False),
+        ([FILL, AGAIN.replace("$container", "$other")], False),
+    ],
+)
+def test_only_a_dose_that_always_comes_behind_the_asked_one_is_warned_of(
+    lab_folder: LabFolder, steps: list[str], is_warned: bool
+) -> None:
+    tree = "\n".join(f"    - {step}" for step in (PLACE, "tare: {as: gross}", *steps))
+    inputs = f"{INPUTS}, other: Container"
+    lab_folder.write("trees/mine.yaml", f"workflow: mine\ninputs: {{{inputs}}}\ntree:\n  sequence:\n{tree}\n")
+    recipe = lab_folder.write("recipes/r.yaml", f"{RECIPE}  - {{{SAMPLE}, other: xrd_holder}}\n")
+    problems = check(lab_folder.load(), recipe, fast=True).problems
+    assert not [one for one in problems if not one.is_warning]
+    assert [one.mark.line for one in problems if one.code == "lot-twice"] == ([8] if is_warned else [])
 
 
 def test_a_sample_that_asks_no_mass_is_dosed_as_its_workflow_says(desk: Desk, lab_folder: LabFolder) -> None:

@@ -154,7 +154,7 @@ def of_changer(*counts: tuple[str, int, str]) -> Stock:
         (
             "24",
             [("", 3, "20"), ("xrd_holder", 4, "22"), ("alumina_crucible", 2, "22")],
-            "in the recipe's order",
+            "in the plan's order",
             "6 slots",
         ),
     ],

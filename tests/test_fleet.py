@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -27,7 +28,7 @@ from harness.postgres import Server, server, tools
 from scuhand_bt.events.entry import Event
 from scuhand_bt.fleet.needs import Offer, missing, needs_of, offer_of
 from scuhand_bt.fleet.order import Submission, submission_of, write
-from scuhand_bt.fleet.queue import ENDED, KnownStation, Queue, QueuedJob, Taken, choose, open_queue
+from scuhand_bt.fleet.queue import ANSWER_S, ENDED, HELD_BACK, KnownStation, Queue, QueuedJob, Taken, choose, open_queue
 from scuhand_bt.fleet.station import Manner, Station
 from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.presence import Presence
@@ -394,6 +395,19 @@ def test_jobs_of_an_earlier_version_are_taken_in_their_order_and_the_one_that_ru
     run(check())
 
 
+def test_a_network_that_is_silent_is_no_database_within_seconds(database: str) -> None:
+    """A station stood still until the network was back, or for a quarter of an hour, and no SIGTERM ended it."""
+
+    async def check() -> None:
+        async with open_queue(database) as queue, queue._database.pool.connection() as connection:
+            with socket.fromfd(connection.fileno(), socket.AF_INET, socket.SOCK_STREAM) as line:
+                assert line.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == ANSWER_S * 1000
+                assert line.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+                assert line.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == ANSWER_S
+
+    run(check())
+
+
 def test_a_database_that_is_not_there_is_said_with_where_and_what_to_read(command: Call) -> None:
     for words in (["queue"], ["fleet"], ["cancel", 1], ["station", "--dry-run"]):
         code, _, err = command(*words, "--database", "host=127.0.0.1 port=1")
@@ -437,7 +451,7 @@ async def works(
     working = asyncio.ensure_future(station.work())
     try:
         while True:
-            jobs = (await queue.jobs(every=True, limit=99))[::-1]
+            jobs = sorted(await queue.jobs(every=True, limit=99), key=lambda job: job.id)
             if working.done():
                 await working
             if (is_so := until(jobs)) is True or (not isinstance(is_so, bool) and await is_so):
@@ -511,6 +525,61 @@ def test_a_station_that_is_a_real_one_now_runs_no_dry_run_that_waits_for_it_and_
                 if simulated
                 else "it did not begin: it is of simulated devices, and its station is a real one now"
             )
+
+    run(check())
+    assert journals(lab) == []
+
+
+def test_a_job_that_its_station_cannot_do_any_more_goes_to_the_next_one_and_fails_at_the_last(
+    database: str, tmp_path: Path
+) -> None:
+    """An idle station whose powder had gone took over what others could do, job for job, and failed all."""
+    labs = {name: make_lab(tmp_path / name) for name in ("first", "second")}
+    order = submission_of(plan_of(labs["second"]), simulated=True)
+    powders = labs["first"] / "robot" / "powders.yaml"
+    powders.write_text(powders.read_text().replace("glass_beads:", "other_beads:"))
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            first, second = (
+                Station(queue, lab, name, Manner(simulated=True), print, look_s=0.1) for name, lab in labs.items()
+            )
+            numbers = await queue.submit(
+                [but(order, stations=("first", "second")), but(order, key="b", stations=("first",))]
+            )
+            passed, failed = await works(first, queue, lambda jobs: jobs[1].status == "failed")
+            assert (passed.id, passed.station, passed.status, passed.run) == (numbers[0], "second", "todo", "")
+            assert passed.said.startswith("it did not begin at first: ")
+            assert "unknown powder 'glass_beads'" in passed.said
+            assert failed.said.startswith("it did not begin: ")
+            assert not await queue.take_over("first"), "it does not come back"
+            done, _ = await works(second, queue, all_over)
+            assert (done.status, done.said) == ("succeeded", "done (2 in tolerance)")
+
+    run(check())
+    assert [len(journals(lab)) for lab in labs.values()] == [0, 1]
+
+
+def test_a_run_whose_journal_is_gone_is_not_begun_again_and_holds_its_station_until_it_is_cancelled(
+    database: str, tmp_path: Path
+) -> None:
+    """As where a lab's folder came back from a backup that is older than the run."""
+    lab = make_lab(tmp_path / "lab")
+    order = submission_of(plan_of(lab), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("here", "there"))])
+            await queue.take("here")
+            await queue.note(1, {"run": "night"})
+            station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
+            (job,) = await works(station, queue, lambda jobs: jobs[0].said != "" or jobs[0].run != "night")
+            assert (job.status, job.run) == ("doing", "night")
+            assert job.said.startswith("its run night has begun, and its journal is not in ")
+            await queue.cancel(1)
+            station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
+            (job,) = await works(station, queue, all_over)
+            assert (job.status, job.run) == ("aborted", "night")
 
     run(check())
     assert journals(lab) == []
@@ -873,6 +942,24 @@ def test_commands_submit_list_and_cancel(database: str, tmp_path: Path, command:
     assert "no stations" in command("fleet", "--forget", "here", *where).stdout
 
 
+def test_what_is_run_is_listed_first_and_that_there_is_more_is_said(
+    database: str, command: Call, offer: Offer, order: Submission
+) -> None:
+    """With a full queue the job that is run was not seen, nor that any was left out."""
+
+    async def submitted() -> None:
+        async with enrolled(database, offer, "here") as queue:
+            await queue.submit([but(order, stations=("here",), key=str(number)) for number in range(4)])
+            assert await queue.take("here") is not None
+
+    run(submitted())
+    where = ("--most", 3, "--database", database)
+    for every in ([], ["--all"]):
+        assert [job["id"] for job in json.loads(command("queue", "--json", *every, *where).stdout)] == [1, 4, 3]
+    assert command("queue", *where).stdout.endswith("… and more: `--most` shows more than 3.\n")
+    assert "and more" not in command("queue", "--most", 4, "--database", database).stdout
+
+
 def test_a_station_of_another_version_is_listed_and_gets_no_jobs(
     database: str, tmp_path: Path, command: Call, offer: Offer, order: Submission
 ) -> None:
@@ -906,6 +993,13 @@ def test_cancel_says_what_becomes_of_the_job(database: str, order: Submission, o
     run(submitted())
     assert command("cancel", 2, *where)[:2] == (0, "job 2 is cancelled.\n")
     assert command("cancel", 1, *where)[:2] == (0, "job 1 stops at 'here' after its current sample.\n")
+
+    async def interrupted() -> None:
+        async with open_queue(database) as queue:
+            await queue.tell("here", f"{HELD_BACK} 1: it was killed")
+
+    run(interrupted())
+    assert command("cancel", 1, *where).stdout.startswith("job 1 is given up at 'here', whose run was interrupted: ")
     run(silent(3))
     said = command("cancel", 1, *where).stdout
     assert said.startswith("job 1 is to stop, but 'here', which has taken it, was last heard of 3 h 00 min ago: ")
@@ -915,6 +1009,14 @@ def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
     code, _, err = command("station")
     assert code == 2
     assert "--operator" in err
+
+
+def test_a_station_has_no_name_that_is_too_long_for_the_queue(command: Call, tmp_path: Path, database: str) -> None:
+    """It began, and every job that was to go there was told as a database that went away."""
+    here = ("--dry-run", "--lab", make_lab(tmp_path / "lab"), "--database", database)
+    code, _, err = command("station", "--name", 129 * "n", *here)
+    assert code == 2
+    assert "128 characters at the most" in err
 
 
 @pytest.mark.parametrize("name", ["", "  ", "a\nb", "\x1b[31mred"])

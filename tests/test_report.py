@@ -86,6 +86,8 @@ def test_the_runs_summary_and_every_dose_with_its_curve_are_in_it(ran: Ran) -> N
     good = sum(sample.is_good for sample in ran.result.samples)
     assert f"{good} of {len(ran.result.samples)}samples good" in page.text
     assert [row[0] for row in page.found["Doses"][1:]] == [sample.id for sample in ran.result.samples]
+    slots = [row[:2] for row in page.found["slot, container, kind"][1:]]
+    assert slots == [[str(slot), sample.id] for slot, sample in enumerate(ran.result.samples, 1)]
     dosed_mg = sum(dose.dispensed_mg for sample in ran.result.samples for dose in sample.doses)
     assert f"{format_mass(dosed_mg)}dosed" in page.text
     for sample in ran.result.samples:

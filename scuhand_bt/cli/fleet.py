@@ -105,15 +105,16 @@ def queue(
     database: DatabaseOption = "",
     as_json: JsonFlag = False,
 ) -> None:
-    """List the jobs that wait and that are run, the newest first."""
+    """List the jobs that are run and those that wait, of each the newest first."""
     _require_fleet()
     from scuhand_bt.fleet import open_queue
 
     async def jobs() -> "list[QueuedJob]":
         async with open_queue(database) as queue:
-            return await queue.jobs(every=every, limit=most)
+            return await queue.jobs(every=every, limit=most + 1)
 
     found = _answered(jobs())
+    found, others = found[:most], found[most:]
     if as_json:
         print_json([{**asdict(job), "at": job.at.isoformat()} for job in found])
         return
@@ -125,6 +126,8 @@ def queue(
         since = f"{job.at.astimezone():%Y-%m-%d %H:%M}"
         table.add_row(str(job.id), recipe, job.station, status, job.by, since, job.run, job.said)
     out.print(table if found else "The queue is empty.")
+    if others:
+        out.print(f"… and more: `--most` shows more than {most}.")
 
 
 @app.command()
@@ -133,7 +136,7 @@ def cancel(
 ) -> None:
     """Take a job out of the queue; one that is run stops after its current sample."""
     _require_fleet()
-    from scuhand_bt.fleet import open_queue
+    from scuhand_bt.fleet import HELD_BACK, open_queue
 
     async def cancelled() -> "tuple[bool, KnownStation | None]":
         async with open_queue(database) as queue:
@@ -146,6 +149,8 @@ def cancel(
         raise typer.Exit(ExitCode.BAD_INPUT)
     if by is None:
         said = "is cancelled."
+    elif by.is_there and by.state.startswith(HELD_BACK):
+        said = f"is given up at '{by.name}', whose run was interrupted: the next one begins there; look at the cell."
     elif by.is_there:
         said = f"stops at '{by.name}' after its current sample."
     else:
@@ -212,7 +217,8 @@ def _answered(asked: "Coroutine[Any, Any, T]", else_: str = "") -> T:
     try:
         return asyncio.run(asked)
     except ConnectorException as error:
-        what = f"the queue's database went away ({error.__cause__ or error}); {else_}".removesuffix("; ")
+        why = " ".join(str(error.__cause__ or error).split())
+        what = f"the queue's database went away ({why}); {else_}".removesuffix("; ")
         raise SourceError([Problem(Mark("--database", 0), what)]) from None
 
 

@@ -50,6 +50,8 @@ def plan(
     as_json: JsonFlag = False,
 ) -> None:
     """Show the jobs in their order, what to expect of them by dry runs, and every moment that needs a person."""
+    from scuhand_bt.report import changer_lines
+
     if html is not None:
         of_kind(html, *PAGES, option="--html")
         if not trials:
@@ -93,6 +95,8 @@ def plan(
     rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
     out.print(f"\nSheet swaps between samples: {made.swaps}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
+    for line in changer_lines(made, loaded.cell):
+        out.print(Text(line), soft_wrap=True)
     if all(person.job is None for person in made.persons) and not _is_asked_all_the_same(made, odds):
         out.print("After the start no person is needed.")
     for person in made.persons:

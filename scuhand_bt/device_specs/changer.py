@@ -62,7 +62,7 @@ class ChangerSpec(Spec):
     slots: Annotated[
         Annotated[int, Field(gt=0)] | dict[str, Annotated[int, Field(gt=0)]], BeforeValidator(_slots_of)
     ] = 24
-    """Containers it holds before a person has to fill it again: in the recipe's order, or so many of each kind.
+    """Containers it holds before a person has to fill it again: in the plan's order, or so many of each kind.
 
     Kinds follow on each other: the first slots are for the kind that is named first.
     """
@@ -74,7 +74,7 @@ class ChangerSpec(Spec):
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The kinds of container that have slots of their own; none where it is filled in the recipe's order."""
+        """The kinds of container that have slots of their own; none where it is filled in the plan's order."""
         return () if isinstance(self.slots, int) else tuple(self.slots)
 
     def takes(self, kind: str) -> bool:
@@ -86,7 +86,7 @@ class ChangerSpec(Spec):
         return self.slots if isinstance(self.slots, int) else self.slots.get(kind, 0)
 
     def first_slot(self, kind: str) -> int | None:
-        """The first slot, from 0, of a kind with slots of its own; None where it is filled in the recipe's order."""
+        """The first slot, from 0, of a kind with slots of its own; None where it is filled in the plan's order."""
         if isinstance(self.slots, int):
             return None
         before = list(self.slots).index(kind) if kind in self.slots else len(self.slots)

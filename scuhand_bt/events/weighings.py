@@ -45,6 +45,8 @@ class ContainerPlaced(SkillEvent):
     loaded: Weighing | None = None
     delay_s: float | None = None
     """How late the balance has shown it; none where that cannot be told."""
+    slot: int | None = None
+    """Of the changer that it came from, from 1; none where a person puts containers on the pan."""
 
 
 class ContainerAgain(SkillEvent):

@@ -31,7 +31,21 @@ ABSENT_S = 60.0
 """A station that has not been heard of for so long is not there."""
 ENDED = "has ended"
 """What a station says last that ends by itself: it is not there from then on."""
+HELD_BACK = "has to wait for job"
+"""What a station says whose run was interrupted."""
+LONGEST_NAME = 128
+"""The database takes no longer one for a job's queue."""
 CONNECT_S = 5
+ANSWER_S = 10
+"""A database that has not heard of what it was sent for so long is not reached."""
+_LINE: dict[str, Any] = {
+    "connect_timeout": CONNECT_S,
+    "tcp_user_timeout": ANSWER_S * 1000,
+    "keepalives_idle": ANSWER_S,
+    "keepalives_interval": ANSWER_S,
+    "keepalives_count": 1,
+}
+"""Else a network that is silent is waited for a quarter of an hour, and nothing else is done meanwhile."""
 LAST = 2**63 - 1
 """The database counts no further."""
 _STATIONS = """
@@ -64,12 +78,17 @@ GROUP BY name ORDER BY name
 _JOBS = """
 SELECT job.id, queue_name AS station, status, abort_requested, args,
     (SELECT min(at) FROM procrastinate_events WHERE job_id = job.id) AS at
-FROM procrastinate_jobs AS job WHERE %(every)s OR status IN ('todo', 'doing') ORDER BY job.id DESC LIMIT %(limit)s
+FROM procrastinate_jobs AS job WHERE %(every)s OR status IN ('todo', 'doing')
+ORDER BY status = 'doing' DESC, job.id DESC LIMIT %(limit)s
 """
 _TAKE_OVER = """
 UPDATE procrastinate_jobs SET queue_name = %(name)s WHERE id = (
     SELECT id FROM procrastinate_jobs WHERE status = 'todo' AND args->'stations' ? %(name)s
     ORDER BY priority DESC, id LIMIT 1 FOR UPDATE SKIP LOCKED) RETURNING id
+"""
+_PASS_ON = """
+UPDATE procrastinate_jobs SET status = 'todo', lock = NULL, queue_name = %(first)s, args = args || %(news)s
+WHERE id = %(number)s AND status = 'doing'
 """
 
 
@@ -128,6 +147,11 @@ class Taken:
     def id(self) -> int:
         assert self.job.id is not None
         return self.job.id
+
+    @property
+    def run(self) -> str:
+        """The run's id, once its station has told of it; "" until then."""
+        return str(self.job.task_kwargs.get("run", ""))
 
 
 def choose(submitted: Sequence[Submission], known: Sequence[KnownStation], only: str | None = None) -> list[Submission]:
@@ -197,7 +221,7 @@ class Queue:
         return [KnownStation(**{**row, "offer": _offered(row["offer"])}) for row in rows]
 
     async def jobs(self, *, every: bool, limit: int) -> list[QueuedJob]:
-        """The newest first; those that wait or are run, or also those that are over."""
+        """Those that wait or are run, or also those that are over; first what is run, and the newest."""
         rows = await self._database.execute_query_all_async(_JOBS, every=every, limit=limit)
         return [_looked_at(row) for row in rows]
 
@@ -268,6 +292,11 @@ class Queue:
         query = "UPDATE procrastinate_jobs SET args = args || %(news)s WHERE id = %(number)s"
         await self._database.execute_query_async(query, number=number, news=Jsonb(dict(news)))
 
+    async def pass_on(self, number: int, stations: Sequence[str], said: str) -> None:
+        """A job that did not begin where it was taken waits for these stations, at the first of them."""
+        news = Jsonb({"stations": list(stations), "said": said})
+        await self._database.execute_query_async(_PASS_ON, number=number, first=stations[0], news=news)
+
     async def finish(self, number: int, status: Status) -> None:
         """A job is over."""
         await self._jobs.finish_job_by_id_async(number, status, delete_job=False)
@@ -283,7 +312,7 @@ async def open_queue(database: str) -> AsyncIterator[Queue]:
     where = Mark(f"the queue's database ({_shown(database) or 'by PGSERVICE, PGHOST …'})", 0)
     logging.getLogger("psycopg.pool").setLevel(logging.CRITICAL)  # what it says, the station says in words
     try:
-        async with await psycopg.AsyncConnection.connect(database, connect_timeout=CONNECT_S) as connection:
+        async with await psycopg.AsyncConnection.connect(database, **_LINE) as connection:
             await _make_tables(connection)
     except psycopg.Error as error:
         what = " ".join(str(error).split()) or type(error).__name__
@@ -292,7 +321,7 @@ async def open_queue(database: str) -> AsyncIterator[Queue]:
         conninfo=database,
         min_size=1,
         max_size=1,
-        kwargs={"connect_timeout": CONNECT_S},
+        kwargs=_LINE,
         configure=_planning_anew,
         timeout=CONNECT_S,
         reconnect_timeout=1.0,  # the next question tries again

@@ -24,7 +24,7 @@ from procrastinate.jobs import Status
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.fleet.needs import offer_of
 from scuhand_bt.fleet.order import Order, write
-from scuhand_bt.fleet.queue import ENDED, Queue, Taken
+from scuhand_bt.fleet.queue import ENDED, HELD_BACK, LONGEST_NAME, Queue, Taken
 from scuhand_bt.journal.archive import state_of
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.history import History, read_history
@@ -74,6 +74,9 @@ class Station:
     ) -> None:
         loaded = load_lab(lab)
         self.name = name or loaded.cell.cell
+        if len(self.name) > LONGEST_NAME:
+            what = f"a station's name has {LONGEST_NAME} characters at the most: give this one a --name"
+            raise SourceError([Problem(Mark(str(lab), 0), what)])
         self._queue, self._lab, self._manner, self._say, self._look_s = queue, lab.absolute(), manner, say, look_s
         self._state = state_folder(loaded).absolute()
         self._orders = self._state / "queue"
@@ -174,6 +177,8 @@ class Station:
         if self._has_child or (journal is not None and is_held(journal)):
             await self._goes_on(taken, journal)
             return False
+        if journal is None and taken.run:
+            return await self._journal_gone(taken)
         if journal is None:
             return await self._not_begun(taken, taken.order)
         return await self._has_begun(taken, journal)
@@ -239,22 +244,40 @@ class Station:
             return await self._over(taken, Status.ABORTED, "", "cancelled before it began")
         if self._child is not None:
             said = log.read_text(encoding="utf-8", errors="replace").strip()[-LAST_WORDS:]
-            return await self._over(taken, Status.FAILED, "", f"it did not begin: {said}")
+            if self._child.returncode == ExitCode.BAD_INPUT:
+                return await self._refused(taken, order, said)
+            what = f"it did not begin, and its program ended with {self._child.returncode}: {said or 'without a word'}"
+            return await self._over(taken, Status.FAILED, "", what)
         if order.simulated != self._manner.simulated:  # it was queued for what this station was, by the same name
             of, here = ("simulated devices", "a real one") if order.simulated else ("the cell", "a simulated one")
-            what = f"it did not begin: it is of {of}, and its station is {here} now"
-            return await self._over(taken, Status.FAILED, "", what)
+            return await self._refused(taken, order, f"it is of {of}, and its station is {here} now")
         if self._is_leaving.is_set():
             return False
         try:
             write(await self._queue.files(order), folder)
         except (OSError, SourceError) as error:
-            return await self._over(taken, Status.FAILED, "", f"it did not begin: {error}")
+            return await self._refused(taken, order, str(error))
         how = ["--dry-run", "--seed", str(order.seed)] if self._manner.simulated else []
         how += ["--unattended"] if self._manner.unattended else []
         self._say(f"job {taken.id}: {order.recipe} begins")
         await self._start(log, "run", str(folder / order.file), *how)
         return False
+
+    async def _refused(self, taken: Taken, order: Order, why: str) -> bool:
+        """This station cannot do it any more: it goes to the next one that could, if there is one."""
+        others = [name for name in order.stations if name != self.name]
+        if not others:
+            return await self._over(taken, Status.FAILED, "", f"it did not begin: {why}")
+        await self._queue.pass_on(taken.id, others, f"it did not begin at {self.name}: {why}")
+        return await self._settled(f"job {taken.id} goes to {others[0]}: it did not begin: {why}")
+
+    async def _journal_gone(self, taken: Taken) -> bool:
+        """What it has done nobody knows: it is not begun a second time, here or elsewhere."""
+        what = f"its run {taken.run} has begun, and its journal is not in {self._state / 'runs'}"
+        if taken.job.abort_requested:
+            return await self._over(taken, Status.ABORTED, taken.run, f"cancelled; {what}")
+        what = f"{what}: bring it back, or look at the cell and `scuhand-bt cancel {taken.id}`"
+        return await self._hold_back(taken, taken.run, what)
 
     async def _has_begun(self, taken: Taken, journal: Path) -> bool:
         """What its journal says it has come to, as nobody is at it now."""
@@ -271,8 +294,11 @@ class Station:
             self._say(f"job {taken.id}: {run} was killed, and is resumed")
             await self._start(self._orders / "resume.txt", "resume", run)
             return False
-        what = f"{_came_to(history)}; `scuhand-bt resume {run}` goes on with it"
-        self._waits = f"has to wait for job {taken.id}: {what}"
+        return await self._hold_back(taken, run, f"{_came_to(history)}; `scuhand-bt resume {run}` goes on with it")
+
+    async def _hold_back(self, taken: Taken, run: str, what: str) -> bool:
+        """A person looks first: no other job begins here."""
+        self._waits = f"{HELD_BACK} {taken.id}: {what}"
         await self._note(self._waits, taken, run, what)
         return False
 
@@ -293,8 +319,12 @@ class Station:
     async def _over(self, taken: Taken, status: Status, run: str, said: str) -> bool:
         await self._queue.note(taken.id, {"run": run, "said": said})
         await self._queue.finish(taken.id, status)
+        return await self._settled(f"job {taken.id}: {status.value}: {said}")
+
+    async def _settled(self, said: str) -> bool:
+        """Nothing holds back this station's next job."""
         self._child, self._waits = None, ""
-        self._tell(f"job {taken.id}: {status.value}: {said}")
+        self._tell(said)
         await self._enrol(load_lab(self._lab))  # a broken one takes no job
         return True
 
@@ -311,7 +341,7 @@ class Station:
             await self._queue.note(taken.id, news)
 
     def _tell_of_no_database(self, error: ConnectorException) -> None:
-        self._tell(f"the queue's database is not reached ({error.__cause__}); trying again")
+        self._tell(f"the queue's database is not reached ({' '.join(str(error.__cause__).split())}); trying again")
 
     def _tell(self, line: str) -> None:
         if line != self._said:

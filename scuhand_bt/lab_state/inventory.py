@@ -151,7 +151,7 @@ class Inventory:
 def counted_otherwise(kinds: Sequence[str], stock: Stock) -> StockEntry | None:
     """The last count of the changer's slots, where that is of slots that were divided otherwise than they are now.
 
-    `kinds` are those that now have slots of their own, none where the changer is filled in the recipe's order.
+    `kinds` are those that now have slots of their own, none where the changer is filled in the plan's order.
     """
     counts = [entry for entry in stock.values() if entry.kind == "changer"]
     if not counts:

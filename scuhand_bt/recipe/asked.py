@@ -1,10 +1,10 @@
 """Whether a workflow doses what a sample asks: its `mass`, within its `tolerance`, into its container.
 
-A sample is refused where none of the ways of its workflow (`recipe/flow.py`) leads to what it asks. What is known only
-when it runs is told then (`not as asked`, run/outcome.py).
+A sample is refused where none of the ways of its workflow (`recipe/flow.py`) leads to what it asks, and warned of where
+one does only by chance. What is known only when it runs is told then (`not as asked`, run/outcome.py).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import counted
@@ -15,28 +15,43 @@ from scuhand_bt.tree.library import Library
 
 def check_asked(samples: Sequence[Sample], library: Library, problems: Problems) -> None:
     """Note each place at which checked workflows dose otherwise than samples ask, once."""
-    found: dict[tuple[Mark, str], dict[str, str]] = {}
+    wrong, doubtful = dict[tuple[Mark, str], dict[str, str]](), dict[tuple[Mark, str], dict[str, str]]()
     for sample in samples:
         for mark, what, fix in _wrong(sample, library):
-            found.setdefault((mark, fix), {}).setdefault(sample.id, what)
-    for (mark, fix), said in found.items():
-        more = f" (and {counted(len(said) - 1, 'more sample')} like it)" if len(said) > 1 else ""
-        problems.add(mark, next(iter(said.values())) + more, fix, code="not-asked")
+            wrong.setdefault((mark, fix), {}).setdefault(sample.id, what)
+        for mark, what, fix in _doubtful(sample):
+            doubtful.setdefault((mark, fix), {}).setdefault(sample.id, what)
+    for (mark, fix), said in wrong.items():
+        problems.add(mark, _of_all(said), fix, code="not-asked")
+    for (mark, fix), said in doubtful.items():
+        if (mark, fix) not in wrong:
+            problems.warn(mark, _of_all(said), fix, code="lot-twice")
+
+
+def _of_all(said: Mapping[str, str]) -> str:
+    more = f" (and {counted(len(said) - 1, 'more sample')} like it)" if len(said) > 1 else ""
+    return next(iter(said.values())) + more
 
 
 def _wrong(sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:
     """Where a sample's workflow doses otherwise than it asks, how, and what to write."""
-    into = [aim for aim in sample.flow.last if aim.container is None or sample.is_dosed_into(aim.container)]
     for ask in sample.asks:
-        yield from _wrong_of(
-            ask, [aim for aim in into if ask.lot is None or aim.lot in (None, ask.lot)], sample, library
-        )
+        yield from _wrong_of(ask, _aims(ask, sample), sample, library)
     if sample.composition is not None:
         lots = {powder.lot for powder in sample.composition.powders}
-        for aim in into:
+        for aim in _into(sample):
             if aim.lot is not None and aim.lot not in lots:
                 what = f"'{aim.lot}' comes into the container of sample '{sample.id}', and is not of its composition"
                 yield aim.mass_mark, what, "add it to `from`, or dose it elsewhere"
+
+
+def _into(sample: Sample) -> list[Pour]:
+    """The doses that may be the last of their place, into what its mass may be for."""
+    return [aim for aim in sample.flow.last if aim.container is None or sample.is_dosed_into(aim.container)]
+
+
+def _aims(ask: Ask, sample: Sample) -> list[Pour]:
+    return [aim for aim in _into(sample) if ask.lot is None or aim.lot in (None, ask.lot)]
 
 
 def _wrong_of(ask: Ask, aims: Sequence[Pour], sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:
@@ -49,15 +64,46 @@ def _wrong_of(ask: Ask, aims: Sequence[Pour], sample: Sample, library: Library) 
             what,
             "let it dispense $mass there" if ask.lot is None else "dispense each of $masses there",
         )
-    asked = [aim for aim in aims if aim.mass_mg is None or ask.is_for(aim.mass_mg, aim.lot)]
+    asked = [aim for aim in aims if _may_be(aim, ask)]
     for aim in () if asked else aims:
-        what = f"no dose is of the {ask.mass_mg:g} mg{of_lot} that {asks}; this one is of {aim.mass_mg:g} mg"
+        if aim.mass_mg is None and (added := _added_to(ask, aim, sample)) is not None:
+            yield added
+            continue
+        its = f"at most {aim.most_mg:g}" if aim.mass_mg is None else f"{aim.mass_mg:g}"
+        what = f"no dose is of the {ask.mass_mg:g} mg{of_lot} that {asks}; this one is of {its} mg"
         yield aim.mass_mark, what, "write $mass" if ask.lot is None else "write each of $masses"
     narrow = {aim.place for aim in asked if not _is_wider(aim, ask)}
     for aim in asked:
         if aim.place not in narrow:
             what = f"the dose is within {aim.tolerance_mg:g} mg, and {asks} {ask.tolerance_mg:g} mg"
             yield aim.tolerance_mark, what, "write $tolerance" if ask.lot is None else "write each of $tolerances"
+
+
+def _doubtful(sample: Sample) -> Iterator[tuple[Mark, str, str]]:
+    """Doses of a mass that only the run can tell, by which what a sample asks for is hardly what comes in the end."""
+    for ask in sample.asks:
+        may_be = [aim for aim in _aims(ask, sample) if _may_be(aim, ask)]
+        if all(aim.mass_mg is None for aim in may_be):
+            yield from (added for aim in may_be if (added := _added_to(ask, aim, sample)) is not None)
+
+
+def _added_to(ask: Ask, aim: Pour, sample: Sample) -> tuple[Mark, str, str] | None:
+    """What is to say of the last dose of its place, if a dose that was asked for comes there before it."""
+    of_place = [pour for pour in sample.flow.pours if pour.place == aim.place and None not in aim.place]
+    if not any(pour.mass_mg is not None and ask.is_for(pour.mass_mg, pour.lot) for pour in of_place):
+        return None
+    what = (
+        f"sample '{sample.id}' asks for {ask.mass_mg:g} mg of {aim.lot}, and this later dose is of the same lot, into "
+    )
+    what += "the same container: the two are one there, of the mass that the later one is to be"
+    return aim.mass_mark, what, "take another lot for one of them, or another container"
+
+
+def _may_be(aim: Pour, ask: Ask) -> bool:
+    """Whether a dose may be of the asked mass, as far as that is known."""
+    if aim.mass_mg is not None:
+        return ask.is_for(aim.mass_mg, aim.lot)
+    return aim.most_mg is None or aim.most_mg >= ask.mass_mg * (1.0 - 1e-9)
 
 
 def _is_wider(aim: Pour, ask: Ask) -> bool:

@@ -77,6 +77,11 @@ class Recipe:
             digest.update(repr((sample.id, sample.workflow, sorted(map(str, sample.inputs.items())))).encode())
         return digest.hexdigest()
 
+    @property
+    def redone(self) -> list[str]:
+        """The failure codes with which a sample is done once more, or may be if somebody chooses that."""
+        return [code for code, action in self.on_failure.items() if action in ("redo", "ask")]
+
     def action_for(self, code: str) -> Action:
         """What to do with a sample that failed with this code."""
         return self.on_failure.get(code, self.on_failure["otherwise"])

@@ -7,6 +7,7 @@ from scuhand_bt.fronts import front
 if TYPE_CHECKING:
     from scuhand_bt.report.audit import deeds_in_lab, deeds_of_run
     from scuhand_bt.report.backup import back_up, restore
+    from scuhand_bt.report.changer import changer_lines
     from scuhand_bt.report.dose_curves import curves_of_doses
     from scuhand_bt.report.dose_plot import plot_dose
     from scuhand_bt.report.doses import amount_cell, asked_cells, composed_lines, doses_table, said_of
@@ -31,6 +32,7 @@ else:
         {
             "report.audit": "deeds_in_lab deeds_of_run",
             "report.backup": "back_up restore",
+            "report.changer": "changer_lines",
             "report.dose_curves": "curves_of_doses",
             "report.dose_plot": "plot_dose",
             "report.doses": "amount_cell asked_cells composed_lines doses_table said_of",
@@ -62,6 +64,7 @@ __all__ = [
     "asked_cells",
     "back_up",
     "chain_line",
+    "changer_lines",
     "comparison",
     "composed_lines",
     "curves_of_doses",

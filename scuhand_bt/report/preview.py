@@ -14,6 +14,7 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.report import viewer
+from scuhand_bt.report.changer import changer_lines
 from scuhand_bt.report.doses import amount_cell, asked_cells
 from scuhand_bt.report.page import rendered
 from scuhand_bt.report.run_scene import run_motions, scene_of
@@ -54,7 +55,7 @@ def preview_page(
         doubts=doubts,
         failures=[(what, f"{count:.2g}") for what, count in odds.not_good.items()],
         persons=list(_persons(plan, odds)),
-        of_persons=of_persons,
+        of_persons=[*changer_lines(plan, lab.cell), *of_persons],
         packed=viewer.packed(
             scene_of(lab, {one.station: one.mortar for one in sources}),
             motions,

@@ -29,6 +29,7 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.report import viewer
 from scuhand_bt.report.audit import deeds_of_run
+from scuhand_bt.report.changer import slots_taken
 from scuhand_bt.report.dose_curves import CurveOfDose, curves_of_doses
 from scuhand_bt.report.doses import TEXT_COLUMNS, DoseRow, columns_for, dose_rows
 from scuhand_bt.report.page import rendered
@@ -193,6 +194,7 @@ def page_of_run(contents: Contents) -> str:
         columns=columns,
         text_columns=TEXT_COLUMNS,
         doses=[list(dose_rows(result)) for result in facts.results],
+        slots=slots_taken(contents),
         time_total=list(_time_total(facts.time)),
         times=Markup(times_figure(facts.time.jobs)),
         activities=_activities(facts.time),

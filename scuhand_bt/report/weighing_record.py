@@ -44,8 +44,9 @@ CONVENTION = (
 )
 COLUMNS = (
     "run", "simulated", "mode", "recipe", "recipe_hash", "operator", "at", "run_time_s", "sample", "attempt",
-    "container", "container_kind", "weighing", "balance_driver", "balance_identity", "readability_mg", "tare_mg",
-    "gross_mg", "drift_mg", "earlier_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines",
+    "container", "container_kind", "container_slot", "weighing", "balance_driver", "balance_identity",
+    "readability_mg", "tare_mg", "gross_mg", "drift_mg", "earlier_mg", "net_mg", "standard_uncertainty_mg",
+    "stable", "tare_lines", "gross_lines",
     "lines_unit", "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "sample_verdict",
     "bracket", "true_mg", "failure_code", "source", "powder", "lot", "sheet",
     "sheet_powder", "controller", "software", "recorded_name", "recorded_value", "recorded_unit", "product", "element",
@@ -101,6 +102,7 @@ def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
     of_doses: dict[tuple[str, str], dict[str, object]] = {}
     first_doses: dict[str, tuple[str, str]] = {}
     results: dict[str, int] = {}
+    slots: dict[object, int | None] = {}
     for row in contents.each("entry"):
         believed = row["state"]["believed"] if row["state"] is not None else believed
         match event := parsed(row["kind"], row["payload"]):
@@ -118,6 +120,8 @@ def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
                 results[event.id] = row["seq"]
         if isinstance(event, ContainerPlaced | Tared | WeightChecked):
             identity = event.balance or identity
+        if isinstance(event, ContainerPlaced):
+            slots[event.container] = event.slot
         if (weighed := _weighed(event, tare, loaded, believed)) is None:
             continue
         pan = believed.get("pan") or {}
@@ -138,6 +142,7 @@ def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
         if isinstance(event, ContainerLifted | BracketClosed):  # which may come in the next sample's job
             of_dose = of_doses.get(first_doses.get(event.container, ("", "")), {})
             written |= {name: of_dose.get(name) for name in ("sample", "attempt", "container_kind")}
+        written["container_slot"] = slots.get(written["container"])
         if isinstance(event, Dose):
             first_doses.setdefault(event.container, (event.container, event.lot))
             of_doses[event.container, event.lot] = {k: v for k, v in written.items() if k not in _WEIGHED}

@@ -138,6 +138,7 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
     _check_doubts(recipe, lab, problems)
     _check_first_strokes(plan, lab, problems)
     warn_of_one_scoop(plan, lab.cell, problems)
+    _check_redone(recipe, lab, problems)
     if not fast:
         _check_ways(plan, lab, problems)
     return plan
@@ -156,6 +157,19 @@ def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
             what += "doses take several scoops each, the last ones many, and not all may be good"
             remedy = "more of it, or a mortar" if is_jar else "a deeper mortar, or a larger one"
             problems.warn(plan.recipe.marks[f"sources.{source.name}"], what, remedy, code="poor-strokes")
+
+
+def _check_redone(recipe: Recipe, lab: Lab, problems: Problems) -> None:
+    """Warn of samples done once more with a changer that is filled in the plan's order: all behind come one later."""
+    changer = lab.cell.changer
+    kinds = list(dict.fromkeys(one.name for sample in recipe.samples for one in sample.all_containers))
+    if changer.driver == "operator" or changer.kinds or len(kinds) < 2 or not recipe.redone:
+        return
+    what = "a sample that is done once more takes the next container from the changer, and each one behind it the one "
+    what += f"after its own; these are of {len(kinds)} kinds, and some will be refused by their weight"
+    slots = ", ".join(f"{kind}: …" for kind in kinds)
+    remedy = f"slots by kind in {CELL_FILE} (`slots: {{{slots}}}`), or `flag`"
+    problems.warn(recipe.marks[f"on_failure.{recipe.redone[0]}"], what, remedy, code="redo-shifts")
 
 
 def _check_doubts(recipe: Recipe, lab: Lab, problems: Problems) -> None:

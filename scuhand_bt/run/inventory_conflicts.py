@@ -235,7 +235,7 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
     if (last := counted_otherwise(cell.changer.kinds, stock)) is not None:
         counts = [one for one in stock.values() if one.kind == "changer" and bool(one.name) == bool(last.name)]
         used = sum(one.used or 0 for one in counts)
-        how = "by kind" if cell.changer.kinds else "in the recipe's order"
+        how = "by kind" if cell.changer.kinds else "in the plan's order"
         what = f"by the inventory {used} slots of the changer were used ({last.origin}) when it was filled otherwise"
         question = f"The changer is to be filled {how} now. Has that been done?"
         what = f"{what} than robot/cell.yaml says now ({how})"
