@@ -32,6 +32,11 @@ POURED_S = 1.0
 
 def empty_cone(cell: Cell, source: Source) -> Steps[None]:
     """Open the valve wide and vibrate for as long as the believed load of a source needs, then believe it empty."""
+    yield from _shake_out(cell, source)
+    cell.believed.emptied()
+
+
+def _shake_out(cell: Cell, source: Source) -> Steps[None]:
     belief = cell.powder_beliefs.get(source.sheet_key, source.powder.belief)
     opening_mm = cell.spec.hand.max_opening_mm
     flow_mg_per_s = belief.coefficient * max(opening_mm - belief.threshold_mm, 0.1) ** belief.exponent
@@ -42,30 +47,6 @@ def empty_cone(cell: Cell, source: Source) -> Steps[None]:
         yield from cell.right_of_way.go(shaking=True)
         yield from cell.hand.pulse(opening_mm, dwell_s, vibration=1.0)
         duration_s -= dwell_s
-    cell.believed.emptied()
-
-
-def empty_into(cell: Cell, source: Source) -> Steps[None]:
-    """Empty the cone over the source that its powder came from, which then holds it again."""
-    held_mg = cell.believed.cone_mg
-    yield from empty_cone(cell, source)
-    cell.believed.returned(source.name, held_mg)
-    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
-
-
-def empty_at(cell: Cell, station: str) -> Steps[None]:
-    """Empty the cone into the vessel at a station, from which nothing is scooped."""
-    yield from open_to_let_out(cell)
-    yield from cell.move_to(station)
-    believed = cell.believed
-    held_mg, source = believed.cone_mg, cell.sources[believed.cone_source or ""]
-    _let_into(cell, station, source, 0.0)  # whatever comes of it, the vessel has that lot in it
-    yield from empty_cone(cell, source)
-    # Else the next stroke, made for less than there is, would bring more than the cone may carry.
-    missed_mg = min(held_mg, believed.missed_mg.get(source.name, 0.0))
-    believed.returned(source.name, missed_mg)
-    _let_into(cell, station, source, held_mg - missed_mg)
-    cell.record.event(Discarded(expected_mg=held_mg - missed_mg, source=source.name, to=station))
 
 
 def is_over(cell: Cell, source: Source) -> bool:
@@ -125,39 +106,18 @@ def _ways_up(cell: Cell, source: Source) -> list[list[ApexPose]]:
     return [[up, *ends] for ends in ([ApexPose(top_m), place], [place], []) for up in ups]
 
 
-def pour_back(cell: Cell, source: Source) -> Steps[None]:
-    """Pour what is in the cone into the mortar that it came from. What clings is of the same powder.
-
-    SkillFailed as `touch`.
-    """
-    yield from _pour(cell, source, source.station)
-    held_mg = cell.believed.cone_mg
-    cell.believed.emptied()
-    cell.believed.returned(source.name, held_mg)
-    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
-
-
 def pour_rest(cell: Cell, source: Source) -> Steps[None]:
     """Pour out what a cone that gives nothing more may hold still, before a scoop tips it.
 
-    It goes into the mortar, or into what its leftovers are discarded into; through the valve, shaken, where the arm
-    cannot pour it: on the way to a stroke it would fall beside the mortar.
-
-    Where the powder would not slide, it stays, and is known to.
+    It goes into the mortar, or into what its leftovers are discarded into: on the way to a stroke it would fall beside
+    the mortar. Where the powder would not slide, it stays, and is known to.
     """
     if not slides_out(cell, source):
         return
     goes_to = vessel_for(cell, source) or source.station
     yield from cell.move_to(goes_to)
     _let_into(cell, goes_to, source, 0.0)
-    try:
-        yield from _pour(cell, source, goes_to)
-    except SkillFailed as failure:
-        if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
-            raise
-        yield from empty_cone(cell, source)
-    else:
-        cell.believed.emptied()
+    yield from _let_out(cell, source, goes_to)
     if goes_to != source.station:
         cell.record.event(Discarded(expected_mg=0.0, source=source.name, to=goes_to))
 
@@ -215,22 +175,49 @@ def _pouring(cell: Cell, station: str, height_mm: float, turn_deg: float) -> lis
 
 
 def put_away(cell: Cell) -> Steps[None]:
-    """What is in the cone goes where the recipe wants it; back into its mortar, unless it is to be discarded.
-
-    Over the lip, where the arm can; through the valve what a bridge may hold, open and shaken.
-    """
-    believed = cell.believed
-    source = cell.sources[believed.cone_source or ""]
+    """What is in the cone goes where the recipe wants it; back into its mortar, unless it is to be discarded."""
+    source = cell.sources[cell.believed.cone_source or ""]
     if (vessel := vessel_for(cell, source)) is not None:
         yield from empty_at(cell, vessel)
         return
     yield from open_to_let_out(cell)
     yield from cell.move_to(source.station)
-    if not believed.is_load_doubted and slides_out(cell, source):
+    held_mg = cell.believed.cone_mg
+    yield from _let_out(cell, source, source.station)
+    cell.believed.returned(source.name, held_mg)
+    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+
+
+def empty_at(cell: Cell, station: str) -> Steps[None]:
+    """Empty the cone into the vessel at a station, from which nothing is scooped."""
+    yield from open_to_let_out(cell)
+    yield from cell.move_to(station)
+    believed = cell.believed
+    held_mg, source = believed.cone_mg, cell.sources[believed.cone_source or ""]
+    _let_into(cell, station, source, 0.0)  # whatever comes of it, the vessel has that lot in it
+    yield from _let_out(cell, source, station)
+    # Else the next stroke, made for less than there is, would bring more than the cone may carry.
+    missed_mg = min(held_mg, believed.missed_mg.get(source.name, 0.0))
+    believed.returned(source.name, missed_mg)
+    _let_into(cell, station, source, held_mg - missed_mg)
+    cell.record.event(Discarded(expected_mg=held_mg - missed_mg, source=source.name, to=station))
+
+
+def _let_out(cell: Cell, source: Source, station: str) -> Steps[None]:
+    """Empty the cone where it stands, above a source's mortar or the vessel at another station.
+
+    What a bridge may hold through the valve, open and shaken; then over the lip, which takes all, whatever the flow
+    is: what is left in a cone falls out as the next stroke tips it, beside the mortar. Through the valve alone where
+    the arm cannot pour, or the powder would not slide.
+    """
+    is_poured = slides_out(cell, source)
+    if cell.believed.is_load_doubted or not is_poured:
+        yield from _shake_out(cell, source)
+    if is_poured:
         try:
-            yield from pour_back(cell, source)
+            yield from _pour(cell, source, station)
         except SkillFailed as failure:
             if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
                 raise
-    if believed.cone_source is not None:
-        yield from empty_into(cell, source)
+            yield from _shake_out(cell, source)
+    cell.believed.emptied()

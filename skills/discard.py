@@ -10,7 +10,7 @@ class Discard(Skill[None]):
 
     devices = ("arm", "hand")
     empties_cone = True
-    typical_s = 15.0
+    typical_s = 9.0
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:

@@ -482,7 +482,7 @@ def test_a_vessel_that_a_cone_was_not_emptied_into_to_the_end_is_known_to_hold_t
         raise SkillFailed(Code.HAND_CONE_EMPTY, "a stall")
         yield
 
-    monkeypatch.setattr(type(cell.hand), "pulse", broken)
+    monkeypatch.setattr(cell, "touch", broken)
     with pytest.raises(SkillFailed):
         bench.do(starter.library.skills["return_leftover"](source=source).run(cell))
     assert cell.believed.vessels == {"waste": InVessel(source.sheet_key, 0.0)}
