@@ -79,10 +79,13 @@ _JOBS = """
 SELECT job.id, queue_name AS station, status, abort_requested, args,
     CASE WHEN status IN ('todo', 'doing') THEN extract(epoch FROM now() - seen)::float END AS silent_s,
     (SELECT min(at) FROM procrastinate_events WHERE job_id = job.id) AS at
-FROM procrastinate_jobs AS job LEFT JOIN scuhand_stations ON name = queue_name
-WHERE %(every)s OR status IN ('todo', 'doing')
+FROM (
+    (SELECT * FROM procrastinate_jobs WHERE status = 'doing' ORDER BY id DESC LIMIT %(limit)s) UNION ALL
+    (SELECT * FROM procrastinate_jobs WHERE status = 'todo' OR %(every)s AND status <> 'doing'
+     ORDER BY id DESC LIMIT %(limit)s)) AS job LEFT JOIN scuhand_stations ON name = queue_name
 ORDER BY status = 'doing' DESC, job.id DESC LIMIT %(limit)s
 """
+"""In two parts, each by an index of its own: not all that wait are sorted for the few that are shown."""
 _TAKE_OVER = """
 UPDATE procrastinate_jobs SET queue_name = %(name)s WHERE id = (
     SELECT id FROM procrastinate_jobs WHERE status = 'todo' AND args->'stations' ? %(name)s
