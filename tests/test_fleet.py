@@ -566,6 +566,30 @@ def test_a_job_that_its_station_cannot_do_any_more_goes_to_the_next_one_and_fail
     assert [len(journals(lab)) for lab in labs.values()] == [0, 1]
 
 
+def test_a_program_that_has_not_said_that_it_refuses_sends_its_job_to_no_other_station(
+    database: str, tmp_path: Path
+) -> None:
+    lab = make_lab(tmp_path / "lab")
+    order = submission_of(plan_of(lab), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("here", "there"))])
+            station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
+
+            def kill_it(jobs: list[QueuedJob]) -> bool:
+                if (child := station._child) is not None and child.returncode is None:
+                    child.send_signal(signal.SIGKILL)
+                return station._child is None and jobs[0].status == "failed"
+
+            (job,) = await works(station, queue, kill_it)
+            assert job.station == "here"
+            assert job.said == "it did not begin, and its program ended with -9: without a word"
+
+    run(check())
+    assert journals(lab) == []
+
+
 def test_a_run_whose_journal_is_gone_is_not_begun_again_and_holds_its_station_until_it_is_cancelled(
     database: str, tmp_path: Path
 ) -> None:
