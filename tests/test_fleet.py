@@ -228,6 +228,12 @@ def test_an_order_carries_the_recipe_and_its_tables_byte_for_byte(tmp_path: Path
     assert (tmp_path / "there" / "tables" / "t.csv").read_bytes() == table
 
 
+def test_a_recipe_whose_name_no_database_can_keep_is_refused(tmp_path: Path) -> None:
+    plan = plan_of(make_lab(tmp_path / "lab"), "b\udcff.yaml")
+    with pytest.raises(SourceError, match="is not UTF-8: give it another one"):
+        submission_of(plan, simulated=True)
+
+
 def test_a_table_elsewhere_is_refused_by_who_submits_and_by_who_would_write_it(tmp_path: Path) -> None:
     lab = make_lab(tmp_path / "lab")
     (lab / "t.csv").write_text("id,mass\nb,30 mg\n")
@@ -1000,7 +1006,10 @@ def test_cancel_says_what_becomes_of_the_job(database: str, order: Submission, o
 
     run(interrupted())
     assert command("cancel", 1, *where).stdout.startswith("job 1 is given up at 'here', whose run was interrupted: ")
+    assert "last heard of" not in command("queue", *where).stdout
     run(silent(3))
+    assert "'here' was last heard of 3 h 00 min ago" in command("queue", *where).stdout
+    assert "last heard of" not in command("queue", "--all", "--most", 9, *where).stdout.splitlines()[-1], "it is over"
     said = command("cancel", 1, *where).stdout
     assert said.startswith("job 1 is to stop, but 'here', which has taken it, was last heard of 3 h 00 min ago: ")
 

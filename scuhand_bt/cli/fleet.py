@@ -121,10 +121,14 @@ def queue(
     table = Table("job", "recipe", "station", "status", "by", "since", "run", "", show_edge=False)
     for job in found:
         status = f"{job.status}, to stop" if job.is_to_stop else job.status
-        status += f", {format_duration(job.left_s)} left" if job.left_s is not None else ""
+        said = job.said
+        if job.is_forsaken:
+            said = f"'{job.station}' was last heard of {format_duration(job.silent_s or 0.0)} ago{said and ': '}{said}"
+        elif job.left_s is not None:
+            status += f", {format_duration(job.left_s)} left"
         recipe = f"{job.recipe} (SIMULATED)" if job.simulated else job.recipe
         since = f"{job.at.astimezone():%Y-%m-%d %H:%M}"
-        table.add_row(str(job.id), recipe, job.station, status, job.by, since, job.run, job.said)
+        table.add_row(str(job.id), recipe, job.station, status, job.by, since, job.run, said)
     out.print(table if found else "The queue is empty.")
     if others:
         out.print(f"… and more: `--most` shows more than {most}.")

@@ -77,10 +77,15 @@ GROUP BY name ORDER BY name
 """
 _JOBS = """
 SELECT job.id, queue_name AS station, status, abort_requested, args,
+    CASE WHEN status IN ('todo', 'doing') THEN extract(epoch FROM now() - seen)::float END AS silent_s,
     (SELECT min(at) FROM procrastinate_events WHERE job_id = job.id) AS at
-FROM procrastinate_jobs AS job WHERE %(every)s OR status IN ('todo', 'doing')
+FROM (
+    (SELECT * FROM procrastinate_jobs WHERE status = 'doing' ORDER BY id DESC LIMIT %(limit)s) UNION ALL
+    (SELECT * FROM procrastinate_jobs WHERE status = 'todo' OR %(every)s AND status <> 'doing'
+     ORDER BY id DESC LIMIT %(limit)s)) AS job LEFT JOIN scuhand_stations ON name = queue_name
 ORDER BY status = 'doing' DESC, job.id DESC LIMIT %(limit)s
 """
+"""In two parts, each by an index of its own: not all that wait are sorted for the few that are shown."""
 _TAKE_OVER = """
 UPDATE procrastinate_jobs SET queue_name = %(name)s WHERE id = (
     SELECT id FROM procrastinate_jobs WHERE status = 'todo' AND args->'stations' ? %(name)s
@@ -132,7 +137,14 @@ class QueuedJob:
     """What it came to, or what its station says of it."""
     left_s: float | None
     """Of one that has begun, as its station last said."""
+    silent_s: float | None
+    """How long nothing was heard of its station; None for one that is over."""
     at: datetime
+
+    @property
+    def is_forsaken(self) -> bool:
+        """Its station is not there: what was said of it may not be so any more."""
+        return self.silent_s is not None and self.silent_s > ABSENT_S
 
 
 @dataclass(frozen=True)
@@ -403,5 +415,6 @@ def _looked_at(row: dict[str, Any]) -> QueuedJob:
         run=args.get("run", ""),
         said=args.get("said", ""),
         left_s=args.get("left_s") if row["status"] == "doing" else None,
+        silent_s=row["silent_s"],
         at=row["at"],
     )
