@@ -221,7 +221,7 @@ tree: {sequence: [
 @pytest.mark.parametrize(
     ("second", "mass", "found"),
     [
-        ("beads", "$ratio * $one.dispensed", ["error"]),  # which is at most 26 mg
+        ("beads", "$ratio * $one.dispensed", ["warning"]),
         ("beads", "2 * $ratio * $one.dispensed", ["warning"]),
         ("beads", "$ratio * $mass", ["error"]),
         ("beads", "2 * $ratio * $mass", []),
@@ -258,15 +258,17 @@ AGAIN = FILL.replace("$mass", "$gross")
         ([FILL, "optional: {" + AGAIN + "}"], False),
         (["if: {when: $gross > 1 g, then: {" + FILL + "}, else: {" + AGAIN + "}}"], False),
         ([FILL, AGAIN.replace("$container", "$other")], False),
+        ([into("one", "$mass"), into("one", "60 mg"), into("other", "$gross")], False),
     ],
 )
 def test_only_a_dose_that_always_comes_behind_the_asked_one_is_warned_of(
     lab_folder: LabFolder, steps: list[str], is_warned: bool
 ) -> None:
-    tree = "\n".join(f"    - {step}" for step in (PLACE, "tare: {as: gross}", *steps))
-    inputs = f"{INPUTS}, other: Container"
+    tree = "\n".join(f"    - {step}" for step in (PLACE, "tare: {as: gross}", *steps)).replace("$container", "$one")
+    inputs = f"{INPUTS.replace('container', 'one')}, other: Container"
     lab_folder.write("trees/mine.yaml", f"workflow: mine\ninputs: {{{inputs}}}\ntree:\n  sequence:\n{tree}\n")
-    recipe = lab_folder.write("recipes/r.yaml", f"{RECIPE}  - {{{SAMPLE}, other: xrd_holder}}\n")
+    sample = f"{SAMPLE.replace('container:', 'one:')}, other: vial_11mm"
+    recipe = lab_folder.write("recipes/r.yaml", f"{RECIPE}  - {{{sample}}}\n")
     problems = check(lab_folder.load(), recipe, fast=True).problems
     assert not [one for one in problems if not one.is_warning]
     assert [one.mark.line for one in problems if one.code == "lot-twice"] == ([8] if is_warned else [])

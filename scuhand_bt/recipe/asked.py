@@ -1,7 +1,8 @@
 """Whether a workflow doses what a sample asks: its `mass`, within its `tolerance`, into its container.
 
 A sample is refused where none of the ways of its workflow (`recipe/flow.py`) leads to what it asks, and warned of where
-one does only by chance. What is known only when it runs is told then (`not as asked`, run/outcome.py).
+a later dose counts in place of the asked one. What is known only when it runs is told then (`not as asked`,
+run/outcome.py).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,17 +16,16 @@ from scuhand_bt.tree.library import Library
 
 def check_asked(samples: Sequence[Sample], library: Library, problems: Problems) -> None:
     """Note each place at which checked workflows dose otherwise than samples ask, once."""
-    wrong, doubtful = dict[tuple[Mark, str], dict[str, str]](), dict[tuple[Mark, str], dict[str, str]]()
+    wrong, added = dict[tuple[Mark, str], dict[str, str]](), dict[tuple[Mark, str], dict[str, str]]()
     for sample in samples:
         for mark, what, fix in _wrong(sample, library):
             wrong.setdefault((mark, fix), {}).setdefault(sample.id, what)
-        for mark, what, fix in _doubtful(sample):
-            doubtful.setdefault((mark, fix), {}).setdefault(sample.id, what)
+        for mark, what, fix in _added(sample):
+            added.setdefault((mark, fix), {}).setdefault(sample.id, what)
     for (mark, fix), said in wrong.items():
         problems.add(mark, _of_all(said), fix, code="not-asked")
-    for (mark, fix), said in doubtful.items():
-        if (mark, fix) not in wrong:
-            problems.warn(mark, _of_all(said), fix, code="lot-twice")
+    for (mark, fix), said in added.items():
+        problems.warn(mark, _of_all(said), fix, code="lot-twice")
 
 
 def _of_all(said: Mapping[str, str]) -> str:
@@ -64,13 +64,9 @@ def _wrong_of(ask: Ask, aims: Sequence[Pour], sample: Sample, library: Library) 
             what,
             "let it dispense $mass there" if ask.lot is None else "dispense each of $masses there",
         )
-    asked = [aim for aim in aims if _may_be(aim, ask)]
+    asked = [aim for aim in aims if aim.mass_mg is None or ask.is_for(aim.mass_mg, aim.lot)]
     for aim in () if asked else aims:
-        if aim.mass_mg is None and (added := _added_to(ask, aim, sample)) is not None:
-            yield added
-            continue
-        its = f"at most {aim.most_mg:g}" if aim.mass_mg is None else f"{aim.mass_mg:g}"
-        what = f"no dose is of the {ask.mass_mg:g} mg{of_lot} that {asks}; this one is of {its} mg"
+        what = f"no dose is of the {ask.mass_mg:g} mg{of_lot} that {asks}; this one is of {aim.mass_mg:g} mg"
         yield aim.mass_mark, what, "write $mass" if ask.lot is None else "write each of $masses"
     narrow = {aim.place for aim in asked if not _is_wider(aim, ask)}
     for aim in asked:
@@ -79,31 +75,18 @@ def _wrong_of(ask: Ask, aims: Sequence[Pour], sample: Sample, library: Library) 
             yield aim.tolerance_mark, what, "write $tolerance" if ask.lot is None else "write each of $tolerances"
 
 
-def _doubtful(sample: Sample) -> Iterator[tuple[Mark, str, str]]:
-    """Doses of a mass that only the run can tell, by which what a sample asks for is hardly what comes in the end."""
+def _added(sample: Sample) -> Iterator[tuple[Mark, str, str]]:
+    """Doses behind the asked one, of its lot, into its container, and of a mass that only the run can tell."""
     for ask in sample.asks:
-        may_be = [aim for aim in _aims(ask, sample) if _may_be(aim, ask)]
-        if all(aim.mass_mg is None for aim in may_be):
-            yield from (added for aim in may_be if (added := _added_to(ask, aim, sample)) is not None)
-
-
-def _added_to(ask: Ask, aim: Pour, sample: Sample) -> tuple[Mark, str, str] | None:
-    """What is to say of the last dose of its place, if a dose that was asked for comes there before it."""
-    of_place = [pour for pour in sample.flow.pours if pour.place == aim.place and None not in aim.place]
-    if not any(pour.mass_mg is not None and ask.is_for(pour.mass_mg, pour.lot) for pour in of_place):
-        return None
-    what = (
-        f"sample '{sample.id}' asks for {ask.mass_mg:g} mg of {aim.lot}, and this later dose is of the same lot, into "
-    )
-    what += "the same container: the two are one there, of the mass that the later one is to be"
-    return aim.mass_mark, what, "take another lot for one of them, or another container"
-
-
-def _may_be(aim: Pour, ask: Ask) -> bool:
-    """Whether a dose may be of the asked mass, as far as that is known."""
-    if aim.mass_mg is not None:
-        return ask.is_for(aim.mass_mg, aim.lot)
-    return aim.most_mg is None or aim.most_mg >= ask.mass_mg * (1.0 - 1e-9)
+        aims = _aims(ask, sample)
+        if any(aim.mass_mg is not None and ask.is_for(aim.mass_mg, aim.lot) for aim in aims):
+            continue
+        for aim in (aim for aim in aims if aim.mass_mg is None and None not in aim.place):
+            before = [pour for pour in sample.flow.pours if pour.place == aim.place and pour.mass_mg is not None]
+            if any(ask.is_for(pour.mass_mg or 0.0, pour.lot) for pour in before):
+                what = f"sample '{sample.id}' asks for {ask.mass_mg:g} mg of {aim.lot}, and this later dose is of the "
+                what += "same lot, into the same container: the two are one there, of the mass that this one is to be"
+                yield aim.mass_mark, what, "take another lot for one of them, or another container"
 
 
 def _is_wider(aim: Pour, ask: Ask) -> bool:
