@@ -124,7 +124,7 @@ def work(variant: Variant, job: Job) -> list[Told]:
     with changed(variant):
         if job.drawn is not None:
             drawn = replace(job.drawn, hand=job.drawn.hand.model_copy(update={"streaming": job.streaming}))
-            doses = dosing_random.run_of_doses(drawn, job.target_mg, "adaptive", job.doses, hand)
+            doses = dosing_random.run_of_doses(drawn, [job.target_mg] * job.doses, "adaptive", hand)
             return [(dose.error_mg, dose.duration_s, dose.accepted) for dose in doses]
         powder = shipped_powders()[job.powder]
         trials = run_of_doses(powder, job.target_mg, "adaptive", FIRST_RUN + job.run, Setting(hand=hand), job.doses)

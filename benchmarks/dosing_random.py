@@ -3,11 +3,12 @@
     python -m benchmarks.dosing_random [--family beads msg lumps ...] [--plants 20] [--doses 10] [--targets 20 50 ...]
                                        [--controller adaptive oracle] [--seeds tuning|judging]
                                        [--balance lab poles mean delay adaptive ringing] [--steps] [--only INDEX ...]
-                                       [--json FILE]
+                                       [--growing] [--json FILE]
 
-Each plant is dosed on in one run, within which a controller learns. Success is |true error| <= 2 mg, with Wilson's
-95 % interval. `out` are doses reported in tolerance that are out of it; `false` are those given up as `hand.no_flow`
-where the cone holds powder that would have come. Times against `oracle`'s are ratios of means.
+Each plant is dosed on in one run of each target, within which a controller learns; with `--growing` in one of all
+targets, in their order: what little doses have taught is what the first large one goes by. Success is |true error|
+<= 2 mg, with Wilson's 95 % interval. `out` are doses reported in tolerance that are out of it; `false` are those given
+up as `hand.no_flow` where the cone holds powder that would have come. Times against `oracle`'s are ratios of means.
 """
 
 import argparse
@@ -49,6 +50,7 @@ class Job(NamedTuple):
     targets_mg: Sequence[float]
     controllers: Sequence[str]
     doses: int
+    is_growing: bool
 
 
 @dataclass(frozen=True)
@@ -88,14 +90,14 @@ class Trickling:
 
 
 def work(job: Job) -> list[Dosed]:
-    runs = [(target_mg, name) for target_mg in job.targets_mg for name in job.controllers]
-    return [dose for target_mg, name in runs for dose in run_of_doses(job.drawn, target_mg, name, job.doses)]
+    runs = [list(job.targets_mg)] if job.is_growing else [[target_mg] * job.doses for target_mg in job.targets_mg]
+    return [dose for run in runs for name in job.controllers for dose in run_of_doses(job.drawn, run, name)]
 
 
 def run_of_doses(
-    drawn: Drawn, target_mg: float, controller: str, count: int, believed_hand: HandSpec | None = None
+    drawn: Drawn, targets_mg: Sequence[float], controller: str, believed_hand: HandSpec | None = None
 ) -> list[Dosed]:
-    """Doses on one plant, one after another; what is learnt goes with them.
+    """Doses of these masses on one plant, one after another; what is learnt goes with them.
 
     None of a dish that the balance cannot weigh: it is refused before the dose.
     """
@@ -104,7 +106,7 @@ def run_of_doses(
     RandomPlant.at_hand = drawn
     belief, balance = powder.belief, BalanceBelief()
     doses = []
-    for dose in range(count):
+    for dose, target_mg in enumerate(targets_mg):
         began_s = time.process_time()
         RandomPlant.dose = dose
         try:
@@ -197,6 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", default="tuning", choices=[*SETS])
     parser.add_argument("--balance", nargs="+", default=["lab"], choices=[*BALANCES])
     parser.add_argument("--steps", action="store_true", help="each balance's filter is changed once in its run")
+    parser.add_argument("--growing", action="store_true", help="one dose of each target, all in one run")
     parser.add_argument("--only", nargs="+", type=int, default=[], metavar="INDEX", help="of the plants, these")
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--json", type=Path, help="every cell's figures, every dose and every plant")
@@ -227,7 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(HEAD)
     with ProcessPoolExecutor(chosen.processes, mp_context=get_context("spawn")) as pool:
         for family, of_family in plants.items():
-            jobs = [Job(drawn, chosen.targets, controllers, chosen.doses) for drawn in of_family]
+            jobs = [Job(drawn, chosen.targets, controllers, chosen.doses, chosen.growing) for drawn in of_family]
             dosed = [dose for of_plant in pool.map(work, jobs) for dose in of_plant]
             doses += dosed
             for target_mg in chosen.targets:

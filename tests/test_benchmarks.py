@@ -147,7 +147,7 @@ def test_the_oracle_is_as_good_as_adaptive_on_each_plant_and_faster(family: str,
         doses = [
             dose
             for drawn in draw(family, shipped_powders(), 3)
-            for dose in dosing_random.run_of_doses(drawn, target_mg, controller, count)
+            for dose in dosing_random.run_of_doses(drawn, [target_mg] * count, controller)
         ]
         return sum(abs(dose.error_mg) <= 2.0 for dose in doses), sum(dose.duration_s for dose in doses)
 
@@ -293,7 +293,7 @@ def test_the_paper_is_not_held_up_by_a_watch_that_its_experiments_had_not() -> N
 def test_a_balance_that_weighs_no_dish_gives_no_dose(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dosing_random, "Bench", fails)
     (drawn,) = draw("beads", shipped_powders(), 1)
-    assert dosing_random.run_of_doses(drawn, 20.0, "adaptive", 2) == []
+    assert dosing_random.run_of_doses(drawn, [20.0, 20.0], "adaptive") == []
 
 
 def test_each_listed_variant_is_of_constants_that_the_law_has() -> None:

@@ -4,12 +4,13 @@ A sheet sticks as it bends, and a flow is stronger than believed; either is seen
 readings are rare an opening ends before the next one tells.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK, chance
-from scuhand_bt.dosing.estimation import EXPONENT_ERROR, powers
+from scuhand_bt.dosing.estimation import EXPONENT_ERROR, UNKNOWN_ERROR_MM, powers
 from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, Knowledge
 
 STUCK_MM = 0.3
@@ -58,11 +59,13 @@ def begins_mm(known: Knowledge, most_mg: float) -> float:
 
 
 def _unseen_mg(known: Knowledge, opening_mm: float) -> float:
-    """What an opening may let out before it is seen, where the exponent may be off by as much as it may."""
-    until_s = seen_s(known)
-    strong_mg = known.reference * (1.0 + HARDLY_EVER * known.spread) * known.valve.passes(opening_mm, until_s)
-    wider = max((opening_mm - known.shape.threshold_mm) / known.gap_mm, 1.0) ** EXPONENT_ERROR
-    return float(wider * max(stuck_mg(known, opening_mm, until_s), strong_mg))
+    """What an opening may let out before it is seen, where exponent and threshold may be off by as much as they may."""
+    until_s, gap_mm = seen_s(known), max(opening_mm - known.shape.threshold_mm, known.gap_mm)
+    by_threshold = known.shape.exponent * UNKNOWN_ERROR_MM * (1.0 / known.gap_mm - 1.0 / gap_mm)
+    off = math.hypot(EXPONENT_ERROR * math.log(gap_mm / known.gap_mm), by_threshold)
+    strong = math.exp(math.hypot(math.log1p(HARDLY_EVER * known.spread), HARDLY_EVER * off))
+    strong_mg = known.reference * strong * known.valve.passes(opening_mm, until_s)
+    return max(math.exp(off) * stuck_mg(known, opening_mm, until_s), strong_mg)
 
 
 def hold_s(known: Knowledge, opening_mm: float, most_mg: float) -> float:
