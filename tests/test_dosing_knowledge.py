@@ -495,34 +495,10 @@ def test_within_an_opening_nothing_that_comes_is_no_reason_to_open_wider() -> No
     assert all(after <= before for before, after in itertools.pairwise(told_mm))
 
 
-@pytest.mark.parametrize("at_s", [0.2, 0.6, 1.0])
-def test_a_reading_that_noise_has_raised_is_no_powder_for_which_to_open_wider(at_s: float) -> None:
-    """On a balance 2 s late such a one let 2.8 g out for 2 g, as the powder primed for longer than that."""
-    told_mm = widths_shown(lambda time_s: 0.2 if abs(time_s - at_s) < 0.05 else 0.0)
-    assert max(told_mm) == told_mm[0] < 2.0
-
-
-def test_what_comes_more_strongly_than_expected_is_no_reason_to_open_wider_until_it_is_known() -> None:
-    """Of what a mean of 1.4 s had shown a third was seen: 2.4 g for 2 g."""
-    mean = BalanceBelief(lag_s=0.35, doubt=0.08, shape="mean", fits=3, noise_mg=0.05)
-    begins = begins_mm(Knowledge(request(target_mg=2000.0, balance=mean)), 2000.0)
-    rate_mg_per_s = BEADS.coefficient * FlowShape(BEADS.threshold_mm, BEADS.exponent).value(begins)
-
-    def shown_mg(time_s: float, strength: float) -> float:
-        came_s = max(0.0, time_s - 0.6)
-        return strength * rate_mg_per_s * (came_s**2 / 2.8 if came_s < 1.4 else came_s - 0.7)
-
-    usual, strong = (
-        widths_shown(lambda time_s, x=x: shown_mg(time_s, x), target_mg=2000.0, balance=mean) for x in (1.0, 2.0)
-    )
-    assert usual[0] == begins < usual[15]
-    assert max(strong[:30]) == begins
-
-
 def test_one_reading_far_above_prediction_shuts_the_valve() -> None:
     expected, surprising = (widths_shown(lambda time_s, mg=mg: mg * (time_s > 0.29)) for mg in (5.0, 20.0))
     assert len(surprising) == 3
-    assert len(expected) > 3 * len(surprising)
+    assert len(expected) > 10
 
 
 def test_onto_a_balance_that_nothing_is_known_of_little_is_let_out_at_first() -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from dose_bench import UNSEEN, Bench, Setting, shipped_powders
 from running import dry_run, make_lab
@@ -133,9 +134,12 @@ def test_an_opening_begins_as_wide_as_lets_out_no_more_than_may_come_before_it_i
 
     def unseen_mg(opening_mm: float) -> float:
         """Of a sheet that sticks, and of a flow that hardly ever is as strong, wider than it was seen at."""
-        strong_mg = 60.0 * (1.0 + 2.6 * spread) * known.valve.passes(opening_mm, seen_s(known))
-        unsure = max((opening_mm - known.shape.threshold_mm) / known_gap_mm, 1.0) ** 0.5
-        return float(unsure * max(stuck_mg(known, opening_mm, seen_s(known)), strong_mg))
+        gap_mm = max(opening_mm - known.shape.threshold_mm, known_gap_mm)
+        by_threshold = known.shape.exponent * 0.15 * (1.0 / known_gap_mm - 1.0 / gap_mm)
+        unsure = np.hypot(0.5 * np.log(gap_mm / known_gap_mm), by_threshold)
+        strong = np.exp(np.hypot(np.log(1.0 + 2.6 * spread), 2.6 * unsure))
+        strong_mg = 60.0 * strong * known.valve.passes(opening_mm, seen_s(known))
+        return float(max(np.exp(unsure) * stuck_mg(known, opening_mm, seen_s(known)), strong_mg))
 
     begins = begins_mm(known, most_mg)
     assert unseen_mg(begins) <= most_mg < unseen_mg(begins / 0.95)

@@ -26,8 +26,6 @@ QUIET_S, MOST_QUIET_S = 0.8, 2.0
 """Nothing has come for so long, and for the balance's delay, or so much of it: nothing comes."""
 FLOWS = 0.2
 """Of its reference: a flow that is at least this strong is what was expected."""
-USUAL = 1.1
-"""A flow of no more than so many times its reference is as strong as was expected."""
 ALARM = 1.3
 """A flow that is surely so many times the expected one, near the target, shuts the valve: the sheet has slipped."""
 SURPRISE = 5.0
@@ -52,7 +50,6 @@ class Opening:
         self._shaken_mm = min(shaken_mm, known.request.max_opening_mm)
         self._opening_mm = math.inf
         self._stuck_seen_s, self._came_s = known.time_s + seen_s(known), math.inf
-        self._is_seen = lump_mg > 0.0
         self._passed_s = 0.0
         """The integral of phi."""
         self._last = 0.0, known.bank.mass_mg, known.begin_mg
@@ -71,15 +68,8 @@ class Opening:
         comes = self._last[0] > 0.0 and self._quiet_s <= EVIDENT_S
         self._opening_mm = wanted_mm if comes else min(wanted_mm, self._opening_mm)
         # Of powder that begins to come late nothing can be seen yet.
-        may_stick = known.time_s < max(self._stuck_seen_s, self._came_s + sees_s(known))
-        # Nor is what comes more strongly than expected, or may be noise: how much comes is yet to be seen.
-        is_steady = self._is_surely_risen() and known.bank.coefficient <= USUAL * known.reference
-        self._is_seen = self._is_seen or (is_steady and not may_stick)
-        return self._opening_mm if self._is_seen else min(self._opening_mm, self._begins_mm)
-
-    def _is_surely_risen(self) -> bool:
-        row = self._known.rows[-1] if self._known.rows else None
-        return row is not None and row.reading_mg - self._known.begin_mg > SURPRISE * row.noise_mg
+        may_stick = not self._lump_mg and known.time_s < max(self._stuck_seen_s, self._came_s + sees_s(known))
+        return min(self._opening_mm, self._begins_mm) if may_stick else self._opening_mm
 
     def hold_s(self, width_mm: float) -> float:
         """How long it is to stay so wide: until the next reading where a lump is waited for."""
