@@ -72,7 +72,7 @@ def test_lumps_that_a_narrow_gap_holds_back_come_through_a_wider_one(seed: int) 
     assert all(done.run.finish.reason != "no_flow" for done in dosed(COHESIVE, MEAN, "mean", 20.0, seed, 2))
 
 
-@pytest.mark.parametrize("seed", [1, 6])
+@pytest.mark.parametrize("seed", [6, 10])
 def test_where_lumps_should_have_been_shaken_out_and_were_not_it_opens_wider(seed: int) -> None:
     assert all(done.run.finish.reason == "reached" for done in dosed(BRIDGING, POLES, "two poles", 50.0, seed, 2))
 
