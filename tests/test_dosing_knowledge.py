@@ -96,7 +96,7 @@ def test_a_first_opening_that_was_held_up_leaves_the_next_as_careful_and_one_tha
     Scale(held_up, 0.2 * BEADS.coefficient).opening(1.0, 2.0)
     Scale(free, 0.8 * BEADS.coefficient).opening(1.0, 2.0)
     as_wide.gap_mm = held_up.gap_mm
-    assert before_mm <= begins_mm(held_up, 480.0) < 1.25 * begins_mm(as_wide, 480.0), "weaker by belief"
+    assert before_mm <= begins_mm(held_up, 480.0) < 1.15 * begins_mm(as_wide, 480.0), "weaker by belief"
     assert begins_mm(free, 480.0) > 1.3 * before_mm
 
 
@@ -496,9 +496,12 @@ def test_within_an_opening_nothing_that_comes_is_no_reason_to_open_wider() -> No
 
 
 def test_one_reading_far_above_prediction_shuts_the_valve() -> None:
-    expected, surprising = (widths_shown(lambda time_s, mg=mg: mg * (time_s > 0.29)) for mg in (5.0, 20.0))
+    powder = BEADS.model_copy(update={"doses": 3, "gap_mm": 1.5})
+    expected, surprising = (
+        widths_shown(lambda time_s, mg=mg: mg * (time_s > 0.29), powder=powder) for mg in (5.0, 20.0)
+    )
     assert len(surprising) == 3
-    assert len(expected) > 3 * len(surprising)
+    assert len(expected) > 10
 
 
 def test_onto_a_balance_that_nothing_is_known_of_little_is_let_out_at_first() -> None:
