@@ -87,7 +87,7 @@ class Lot:
             believed.returned(source.name, held_mg)
         believed.emptied()
         self._mortar_mg, self._cone_mg = self._mortar_mg + self._cone_mg, 0.0
-        scoop = self._skills["scoop"](source=source, wanted_mg=wanted_mg)
+        scoop = self._skills["scoop"](source=source, wanted_mg=wanted_mg, may_scoop_again=True)
         bed = scoop._bed(self._cell)
         stroke = next(scoop._wished(self._cell, bed, believed.sources_mg[source.name]))
         self._cell.strokes_made.setdefault(source.name, []).append(stroke.heading_deg)

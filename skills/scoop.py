@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 RICH, RICH_AIM = 1.25, 0.8
 """The same for a source that yields so much more than it should: loads were up to a quarter heavier than believed. And
 after a load that lacked much: where that was poured back as a heap, 4.1 g came in the mean of the 3.7 that might."""
+MAY_YIELD = 2.0
+"""Times what they should, the most that scoops may bring of a source of which no load's end was seen: with twice the
+yield first loads were up to 10 g, of 5 g that may be carried, and each was believed to be half of what it was."""
 NOTHING_LEFT_MG = 30.0
 """Less than this, believed to be in a mortar, is not worth a scoop."""
 PRESSED_BELOW_MG = 1500.0
@@ -65,6 +68,8 @@ class Scoop(Skill[Milligrams]):
     source: Source
     wanted_mg: Milligrams | None = None
     """What is to be dosed of it; None for as much as the cone may carry."""
+    may_scoop_again: bool = False
+    """Whatever is not enough is scooped again: a first load is one that the cone may carry also if it is twice that."""
     over_travel_mm: Annotated[Millimetres, Field(gt=0, le=3)] = 1.0
     speed_mm_per_s: Annotated[MillimetresPerSecond, Field(gt=0, le=200)] = 60.0
 
@@ -114,10 +119,12 @@ class Scoop(Skill[Milligrams]):
     def _wished(self, cell: Cell, bed: AnyBed, in_mortar_mg: float) -> Iterator[Stroke]:
         """The strokes that may be made, the first that the arm can make before others; for less after all others."""
         source, ladle = self.source, Ladle.of(cell.spec.hand)
-        yielded = cell.believed.yields.get(source.name, 1.0)
+        yields = cell.believed.yields
+        yielded = yields.get(source.name, 1.0)
+        may_yield = MAY_YIELD if self.may_scoop_again and source.name not in yields else max(1.0, yielded)
         # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
         aim = RICH_AIM if yielded >= RICH or bed.missed_mg > 0.0 else LOAD_AIM
-        most_mg = aim * source.powder.load_limit_mg / max(1.0, yielded)
+        most_mg = aim * source.powder.load_limit_mg / may_yield
         wanted_mg = most_mg
         if self.wanted_mg is not None:
             wanted_mg = scooped_for_mg(self.wanted_mg, source.powder, is_discarded=source.is_discarded) / yielded

@@ -106,7 +106,8 @@ class BelievedPowder:
         self._set(sheet=source.sheet_key)
 
     def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None, or_mg: float = 0.0) -> None:
-        """A scoop should have brought so much of a source into the cone; it has brought what this source yields of it.
+        """A scoop should have brought so much of a source into the cone; it has brought what this source yields of
+        it, and no more than is there.
 
         Or `or_mg`, if what the stroke before had missed was on its way.
         It should have left this layer; None: nobody knows how it lies.
@@ -114,8 +115,8 @@ class BelievedPowder:
         """
         if self.cone_mg > 0.0 and self.cone_source != source.name:
             raise ValueError(f"the cone holds powder of '{self.cone_source}', and has scooped from '{source.name}'")
-        brought_mg = self.yields.get(source.name, 1.0) * mass(mass_mg)
-        left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - brought_mg)
+        there_mg = self.sources_mg.get(source.name, 0.0)
+        brought_mg = min(there_mg, self.yields.get(source.name, 1.0) * mass(mass_mg))
         self._set(
             cone_mg=self.cone_mg + brought_mg,
             cone_source=source.name,
@@ -126,7 +127,7 @@ class BelievedPowder:
                 or_scooped_mg=self.load.scooped_mg + or_mg,
                 is_first=self.load.is_first or source.name not in self.layers,
             ),
-            sources_mg={**self.sources_mg, source.name: left_mg},
+            sources_mg={**self.sources_mg, source.name: there_mg - brought_mg},
             layers={name: one for name, one in {**self.layers, source.name: layer}.items() if one is not None},
         )
 
