@@ -156,7 +156,7 @@ def checked(lab_folder: LabFolder, slots: str) -> list[tuple[str, str]]:
 @pytest.mark.parametrize(
     ("slots", "visits"),
     [
-        ("8", [("d", "1 of 8 containers left, and this sample takes 3")]),
+        ("5", [("c", "1 of 5 containers left"), ("d", "2 of 5 containers left, and this sample takes 3")]),
         ("{xrd_holder: 4, pellet_die_13mm: 9}", [("c", "1 of 4 xrd_holder containers left, and this sample takes 2")]),
         ("2", [("b", "all 2"), ("c", "all 2"), ("c", "all 2"), ("d", "all 2")]),
     ],
@@ -190,7 +190,7 @@ def test_the_changer_is_filled_before_a_sample_as_the_plan_says_and_with_the_pan
     [
         ("{driver: carousel, slots: 3}", []),
         ("{driver: carousel, slots: {pellet_die_13mm: 1, xrd_holder: 2}}", []),
-        ("{driver: operator}", []),
+        ("{driver: operator, slots: 2}", []),
         ("{driver: carousel, slots: 2}", [("8:25", "'c' takes more containers than the changer has slots: 2.")]),
         (
             "{driver: carousel, slots: {pellet_die_13mm: 1, xrd_holder: 1}}",
