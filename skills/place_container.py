@@ -10,6 +10,7 @@ from scuhand_bt.cell.weighing import (
     is_to_be_weighed_again,
     note_again,
     require_known_delay,
+    seems_to_adapt,
     shown_step,
     watched,
     weigh_changed,
@@ -77,14 +78,15 @@ class PlaceContainer(Skill[None]):
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
                 f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g{holding}",
             )
-        if is_to_be_weighed_again(cell):
+        seemed_to_adapt = step is not None and seems_to_adapt(cell, step)
+        if seemed_to_adapt or is_to_be_weighed_again(cell):
             first = bare, loaded
             bare, _ = yield from changed(cell, cell.changer.take_away(), loaded)
             loaded, step = yield from changed(cell, cell.changer.bring(container), bare)
             cell.came = step
             note_again(cell, container.id, first, bare, loaded)
         if step is not None:
-            require_known_delay(cell, step)
+            require_known_delay(cell, step, has_seemed_to_adapt=seemed_to_adapt)
         believed.placed(weighing_of(bare), weighing_of(loaded))
 
     def _require_known(self, cell: Cell) -> None:

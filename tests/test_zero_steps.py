@@ -1,5 +1,6 @@
 """Containers onto the pan and off it: what the pan shows meanwhile, and what of it is the zero's doing."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,17 +8,19 @@ from typing import Any
 import pytest
 from dose_bench import DISH, Bench, shipped_powders
 
+from scuhand_bt.cell import weighing
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.cell.weighing import watched
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.events.entry import Note, SkillEvent
 from scuhand_bt.events.weighings import ContainerAgain
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import Record
-from scuhand_bt.specs import Container
+from scuhand_bt.specs import BalanceBelief, Container
 
 WEIGHING_S, SWING_S, BACK_S = 1.0, 4.0, 1.0
 NEXT = DISH.model_copy(update={"id": "next"})
@@ -285,6 +288,26 @@ def test_a_zero_that_was_elsewhere_as_the_empty_container_came_is_told_by_bringi
     assert rig.believed.zero_stepped_mg == pytest.approx(3.0)
     (again,) = told_again(rig)
     assert (again.container, again.difference_mg) == (NEXT.id, pytest.approx(3.0))
+
+
+@pytest.mark.parametrize("does_again", [True, False])
+def test_a_balance_that_seems_to_have_begun_to_adapt_is_shown_the_container_once_more(
+    rig: Rig, does_again: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One container of a thousand looks so by chance, and 70 s a dose were lost by believing it."""
+    learnt = BalanceBelief(lag_s=0.3, misfit=0.01, fits=3)
+    rig.cell, adapting = replace(rig.cell, balance_belief=learnt), learnt.model_copy(update={"adapts": True})
+
+    def found(step: Step, beyond: float = 0.0) -> BalanceBelief:
+        return adapting if does_again or not told_again(rig) else learnt
+
+    monkeypatch.setattr(weighing, "shown_step", lambda *args: Step(1000.0, (0.1,), (0.0,)))
+    monkeypatch.setattr(weighing, "balance_of", found)
+    place = rig.lab.library.skills["place_container"]
+    monkeypatch.setattr(sys.modules[place.__module__], "shown_step", lambda *args: Step(1000.0, (0.1,), (0.0,)))
+    rig.do("place_container", container=NEXT)
+    assert [again.container for again in told_again(rig)] == [NEXT.id]
+    assert rig.cell.balance_belief.adapts == does_again
 
 
 def test_nobody_is_asked_to_put_back_what_was_just_taken_away(first: Rig) -> None:

@@ -220,10 +220,26 @@ def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Ste
     return step and step._replace(uncertainty_mg=after.uncertainty_mg)
 
 
-def require_known_delay(cell: Cell, step: Step) -> None:
+def seems_to_adapt(cell: Cell, step: Step, beyond: float = SURELY) -> bool:
+    """Whether a known balance, whose filter did not adapt, has shown a container as one does that has begun to.
+
+    By more than chance, so many standard deviations; no person is asked to show it once more.
+    """
+    known = cell.balance_belief
+    if known.fits == 0 or known.adapts or cell.changer.needs_person:
+        return False
+    if not balance_of(step, beyond).adapts:
+        return False
+    # What takes less than a reading longer at its last is no filter that adapts: one that rings looks like it, and so
+    # does one whose container was weighed a tenth of a milligram too high.
+    return 2.0 * balance_of(step).lag_s > step.delay_s + cell.spec.balance.period_s
+
+
+def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = False) -> None:
     """Before a dose: a balance that is slower or quicker than it was, has another filter, adapts as it did not or no
     more, or is unknown, is taken for what it has shown of a container.
 
+    One of a thousand of a sound balance looks as if it adapted: it does if it has seemed to before, and does again.
     SkillFailed balance.slow where nothing doses safely with it.
     """
     delay_s, inexact_s = step.delay_s, cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
@@ -235,11 +251,8 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     if is_slower:
         cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
     found, known = balance_of(step), cell.balance_belief
-    # What takes less than a reading longer at its last is no filter that adapts: one that rings looks like it, and so
-    # does one whose container was weighed a tenth of a milligram too high.
-    is_sure = balance_of(step, SURELY).adapts and 2.0 * found.lag_s > delay_s + inexact_s
-    has_begun_to_adapt = is_sure and not known.adapts
-    # One container of a thousand looks like it by chance all the same, one of two hundred where nothing is known.
+    has_begun_to_adapt = has_seemed_to_adapt and seems_to_adapt(cell, step, beyond=0.0)
+    # One container of two hundred looks like it by chance where nothing is known of the balance.
     adapts_no_more = known.adapts and is_linear(step, SURELY)
     # By an earlier container: doses know a filter that adapts for slower than any step of one.
     is_quicker = known.shown_s > SLOWER * delay_s + inexact_s

@@ -50,7 +50,7 @@ class ContainerPlaced(SkillEvent):
 
 
 class ContainerAgain(SkillEvent):
-    """The first container of a run was taken off the pan and put back, and weighed again about the bare pan."""
+    """The first container of a run, or one by which its balance seems to adapt, was put on the pan twice."""
 
     KIND: ClassVar = "container_again"
 
