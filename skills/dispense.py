@@ -362,7 +362,7 @@ class Dispense(Skill[Dose]):
         if dose.error_mg > self.tolerance_mg:
             raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
         if run.finish.reason == "rest":
-            cell.believed.rest_left(self._source(cell).powder.load_limit_mg)
+            cell.believed.rest_left()
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"{reached}; what is left in the cone comes only shaken")
         if run.finish.reason == "step_limit":
             pulses = counted(dose.pulses, "pulse")

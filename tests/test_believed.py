@@ -318,6 +318,15 @@ def test_a_scoop_takes_from_its_source_what_it_brings_and_an_empty_cone_gives_it
     assert not believed.has_rest
 
 
+def test_no_scoop_is_believed_to_bring_more_than_its_source_holds() -> None:
+    """Of a rich source 2.7 g were, out of the last 1.5 g."""
+    believed = Believed()
+    believed.source_holds("beads", 1500.0)
+    believed.scoops_bring("beads", 2.0)
+    believed.scooped(BEADS, 1400.0)
+    assert (believed.cone_mg, believed.sources_mg["beads"]) == (1500.0, 0.0)
+
+
 def test_a_load_that_gave_less_tells_what_the_next_one_will_bring_and_is_let_out_first() -> None:
     believed = Believed()
     believed.source_holds("beads", 20_000.0)
@@ -375,25 +384,6 @@ def test_when_the_rest_of_a_load_begins_to_come_only_shaken_tells_a_poor_scoop_a
     believed.rest_left()
     assert believed.yields == {"beads": pytest.approx(told)}
     assert ("beads" in believed.seen_yields) == is_seen
-
-
-@pytest.mark.parametrize(
-    ("scooped_mg", "came_mg", "told"),
-    [
-        (4700.0, 5700.0, 5700.0 / 0.85 / 4700.0),  # 1.21, and far more than a quarter with its rest
-        (4700.0, 5100.0, 5100.0 / 4700.0),  # by chance
-        (4000.0, 4900.0, 4900.0 / 4000.0),  # as much, and the cone may carry it
-    ],
-)
-def test_a_load_beyond_what_the_cone_may_carry_was_larger_by_its_rest_besides(
-    scooped_mg: float, came_mg: float, told: float
-) -> None:
-    believed = Believed()
-    believed.scooped(BEADS, scooped_mg)
-    believed.dosing_ended(came_mg, 0.0)
-    believed.flowed(2.0)
-    believed.rest_left(5000.0)
-    assert believed.yields.get("beads") == pytest.approx(told)
 
 
 @pytest.mark.parametrize(

@@ -268,18 +268,6 @@ def test_what_is_left_of_a_load_for_a_fresh_one_stays_in_the_cone_and_tells_noth
     rig.skill("cone_holds", powder=BEADS, wanted_mg=TARGET_MG).check(rig.cell)
 
 
-def test_the_rest_of_a_load_beyond_what_its_powder_may_be_loaded_with_tells_of_a_rich_source(rig: Rig) -> None:
-    believed = rig.cell.believed
-    believed.emptied()
-    believed.scooped(rig.cell.sources["store"], 4700.0)
-    believed.dosing_ended(5680.0, rig.balance.load_mg)
-    believed.flowed(0.0)
-    with pytest.raises(SkillFailed, match="comes only shaken"):
-        rig.dispense(20.0, reason="rest")
-    assert believed.load.came_mg > BEADS.load_limit_mg
-    assert believed.yields == {"store": pytest.approx(5700.0 / 0.85 / 4700.0, rel=0.01)}
-
-
 @pytest.mark.parametrize(
     ("may_scoop_again", "in_mortar_mg", "told"), [(True, 1100.0, True), (True, 900.0, False), (False, 7000.0, False)]
 )
@@ -443,6 +431,7 @@ def test_loads_that_go_on_giving_nothing_of_what_little_a_dose_lacks_end_it_and_
     codes = []
     for brings_mg in (40.0, 0.0, 2.0, 0.0, 0.0, 0.0):
         rig.cell.believed.emptied()
+        rig.cell.believed.source_holds("store", 7000.0)
         rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
         with pytest.raises(SkillFailed) as failed:
             rig.dispense(brings_mg, reason="no_flow")

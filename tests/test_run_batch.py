@@ -59,7 +59,7 @@ samples: [{id: a, source: beads, container: alumina_crucible, mass: 7 g, toleran
 """
     dose = dry_run(tmp_path, recipe).sample("a")
     assert dose.verdict == "in tolerance"
-    assert dose.scoops == 2
+    assert dose.scoops == 3, "the first one is half a load, as nobody knows yet what scoops bring"
     assert dose.true_mg == pytest.approx(7000, abs=52)
 
 

@@ -77,12 +77,12 @@ def scoops(ran: Ran) -> list[tuple[int, float, float]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("plant", "mass", "seeds", "off_by"), [("Half", "2400 mg", (0, 1, 2), 0.1), ("Double", "2 g", (0,), 0.25)]
+    ("plant", "mass", "seeds", "off_by"), [("Half", "2400 mg", (0, 1, 2), 0.1), ("Double", "2 g", (0, 1, 2), 0.1)]
 )
 def test_what_a_scoop_brings_is_believed_after_three_doses(
     tmp_path: Path, plant: str, mass: str, seeds: Sequence[int], off_by: float
 ) -> None:
-    """Within a tenth; a quarter where but one scoop is made by then, of a bed of which twice as much has gone."""
+    """Within a tenth, and no load of any is more than the cone may carry, by more than chance."""
     recipe, later = RECIPE.replace("MASS", mass), list[float]()
     for seed in seeds:
         ran = dry_run(tmp_path, recipe, plant=f"{__name__}:{plant}", controller="adaptive", seed=seed)
@@ -93,7 +93,7 @@ def test_what_a_scoop_brings_is_believed_after_three_doses(
         assert off[-1][0] >= DOSES, "a scoop was made after the third dose"
         later += [share for doses, share in off if doses >= DOSES]
         limit_mg = ran.session.cell.sources["beads"].powder.load_limit_mg
-        assert max(brought_mg for doses, _, brought_mg in made if doses >= DOSES) < limit_mg
+        assert max(brought_mg for _, _, brought_mg in made) < 1.1 * limit_mg
         assert ran.session.world is not None
         assert ran.session.world.masses_mg["spilled"] < 10.0, (
             "no cone that was believed to be empty, and was not, has swung"
@@ -102,16 +102,13 @@ def test_what_a_scoop_brings_is_believed_after_three_doses(
 
 
 @pytest.mark.slow
-def test_no_heavy_loads_follow_one_that_was_beyond_the_limit_and_left_a_rest_that_nobody_knows(tmp_path: Path) -> None:
-    """Of this one 1.23 of what it should have brought comes by itself, and nearly half as much is left."""
+def test_no_load_of_which_twice_as_much_comes_and_a_rest_stays_is_more_than_the_cone_may_carry(tmp_path: Path) -> None:
+    """Of crystals first loads of 7 to 10 g came, where 5 g are the limit, and others after them."""
     recipe = RECIPE.replace("MASS", "2 g").replace("source: beads", "source: msg").replace("5 mg", "10 mg") + MSG
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:Double", controller="adaptive", seed=906)
     assert {sample.verdict for sample in ran.result.samples} == {"in tolerance"}
     limit_mg = ran.session.cell.sources["msg"].powder.load_limit_mg
-    first, later = (brought_mg for _, _, brought_mg in scoops(ran)[:2]), scoops(ran)[2:]
-    assert min(first) > limit_mg, "the world is not as the skill expects it"
-    assert later
-    assert max(brought_mg for _, _, brought_mg in later) < 1.1 * limit_mg
+    assert 0.8 * limit_mg < max(brought_mg for _, _, brought_mg in scoops(ran)) < 1.1 * limit_mg
 
 
 class Once(Other):

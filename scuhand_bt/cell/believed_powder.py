@@ -115,8 +115,9 @@ class BelievedPowder:
         """
         if self.cone_mg > 0.0 and self.cone_source != source.name:
             raise ValueError(f"the cone holds powder of '{self.cone_source}', and has scooped from '{source.name}'")
-        there_mg = self.sources_mg.get(source.name, 0.0)
-        brought_mg = min(there_mg, self.yields.get(source.name, 1.0) * mass(mass_mg))
+        brought_mg = self.yields.get(source.name, 1.0) * mass(mass_mg)
+        brought_mg = min(brought_mg, self.sources_mg.get(source.name, math.inf))
+        left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - brought_mg)
         self._set(
             cone_mg=self.cone_mg + brought_mg,
             cone_source=source.name,
@@ -127,7 +128,7 @@ class BelievedPowder:
                 or_scooped_mg=self.load.scooped_mg + or_mg,
                 is_first=self.load.is_first or source.name not in self.layers,
             ),
-            sources_mg={**self.sources_mg, source.name: there_mg - brought_mg},
+            sources_mg={**self.sources_mg, source.name: left_mg},
             layers={name: one for name, one in {**self.layers, source.name: layer}.items() if one is not None},
         )
 
@@ -181,16 +182,16 @@ class BelievedPowder:
             self.emptied()
             self._set(has_rest=True)
 
-    def rest_left(self, limit_mg: float = math.inf) -> None:
+    def rest_left(self) -> None:
         """What is left in the cone comes only shaken: that is for a dose's most, and not for the last of it.
 
         Where that began long before it should have, the load was a poor one, as its source's next ones will be; and of
-        one that was larger than thought nothing else has told how large. `limit_mg` is what a cone may carry of it.
+        one that was larger than thought nothing else has told how large.
         """
         if (name := self.cone_source) is not None:
             if (rest := self.load.least_rest(self.rests.get(name))) is not None:
                 self._set(rests={**self.rests, name: rest})
-            if (there_mg := self.load.at_rest_mg(self.cone_mg, rest, limit_mg)) is not None:
+            if (there_mg := self.load.at_rest_mg(self.cone_mg, rest)) is not None:
                 self._set(yields={**self.yields, name: there_mg / self.load.scooped_mg})
                 self._moved_to_cone(name, there_mg - self.load.came_mg - self.cone_mg)
         self._set(load=replace(self.load, is_rest=True))

@@ -75,22 +75,20 @@ class Load:
             return known
         return seen if known is not None else seen + (MOST_REST - seen) / 3
 
-    def at_rest_mg(self, held_mg: float, shaken_share: float | None, limit_mg: float) -> float | None:
+    def at_rest_mg(self, held_mg: float, shaken_share: float | None) -> float | None:
         """What was in it, of one whose rest is left, with `held_mg` believed in it; None where it bridges, or no scoop
         tells.
 
         `shaken_share` is what loads of its source leave at least as their rest, None where none was seen; then one that
-        began long before it should have is a poorer load, and one of which far more has come a larger one; so is one of
-        which more has come than was thought, and than a cone may carry (`limit_mg`). Any other is what it was thought
-        to be: that one is less tells itself, as it gives out before a dose is full.
+        began long before it should have is a poorer load, and one of which far more has come a larger one. Any other
+        is what it was thought to be: that one is less tells itself, as it gives out before a dose is full.
         """
         if self.scooped_mg == 0.0 or self.is_barren:
             return None
         if shaken_share is not None and self.flowed_mg > 0.0:
             return max(self.came_mg, self.flowed_mg / (1.0 - shaken_share))
         is_poor = self.came_mg < POOR_REST * (self.came_mg + held_mg)
-        is_rich = self.scoops_share > 1.0 + AS_EXPECTED or (self.is_larger and self.came_mg > limit_mg)
-        if is_poor or is_rich:
+        if is_poor or self.scoops_share > 1.0 + AS_EXPECTED:
             return self.came_mg / (1.0 - REST_SHARE)
         if self.flowed_mg > 0.0 and self.shaken_share is None:
             return None
