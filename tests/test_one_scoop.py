@@ -1,7 +1,10 @@
 """Samples whose doses come of one scoop: what `check` says where one cannot bring them all."""
 
+from pathlib import Path
+
 import pytest
-from conftest import LabFolder
+from conftest import LabFolder, read
+from running import dry_run
 
 from scuhand_bt.lab import read_lab
 from scuhand_bt.problems import Problem
@@ -49,6 +52,15 @@ def test_doses_of_one_scoop_that_are_more_than_it_brings_are_warned_of_at_their_
     assert "'many' takes 2 doses (5.0000 g) of one scoop from 'beads', and of 17.9600 g" in told.message
     assert "several samples, of 1 dose each" in told.message
     assert "load limit (5.0000 g) is little for so much at once" in told.message
+
+
+def test_a_scoop_that_is_the_only_one_is_a_whole_load_though_nobody_knows_yet_what_scoops_bring(tmp_path: Path) -> None:
+    """Where another may follow it is half of one, which would not be enough here."""
+    text = RECIPE.replace("WORKFLOW", "aliquots").replace("AMOUNT", "20")
+    ran = dry_run(tmp_path, f"{text}  - {{id: a, {TWO}, mass: 1.5 g}}\n", controller="adaptive")
+    assert ran.sample("a").verdict == "in tolerance"
+    (scoop,) = (row["payload"] for row in read(ran.journal, "event") if row["kind"] == "scoop")
+    assert 4000.0 < scoop["expected_mg"] < 5000.0
 
 
 def test_what_is_left_for_a_sample_counts_and_not_what_the_mortar_begins_with(lab_folder: LabFolder) -> None:

@@ -289,6 +289,24 @@ def test_a_mortar_that_would_do_nowhere_is_named_though_another_would_somewhere(
     assert "With" not in message
 
 
+@pytest.mark.parametrize(
+    ("station", "was", "now", "leftover"),
+    [
+        ("waste", "[60 mm, 320 mm, 100 mm]", "[60 mm, 320 mm, 40 mm]", "leftover: discard\n"),
+        ("balance", "position: [330 mm, 0 mm, 60 mm]", "position: [330 mm, 80 mm, 60 mm]", ""),
+    ],
+)
+def test_where_powder_goes_is_told_where_it_is_written_and_no_mortar_blamed_for_it(
+    lab: LabFolder, station: str, was: str, now: str, leftover: str
+) -> None:
+    lab.replace("robot/cell.yaml", was, now)
+    lab.write("recipes/one.yaml", RECIPE + leftover)
+    (problem,) = found(lab, "no-path")
+    assert problem.message.startswith(f"the arm cannot stand at {station}")
+    assert problem.mark.line == line_with(lab, now)
+    assert "mortar" not in problem.message
+
+
 def test_a_bowl_of_which_a_stroke_may_bring_next_to_nothing_is_told_before_a_run_takes_it_for_empty(
     lab: LabFolder,
 ) -> None:

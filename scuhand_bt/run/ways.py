@@ -62,6 +62,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
         raise
     except SkillFailed:
         _require_strokes(cell, scooped)
+        _require_destinations(motion, cell, kinds, scooped)
         motion.patience_s = 0.0  # from now on only whether there is a way counts, and not how quick it is
         lacks = [_lacks(motion, cell, kinds, demand) for demand in scooped]
         badly = [demand for demand, lack in zip(scooped, lacks, strict=True) if lack is not None]
@@ -79,6 +80,28 @@ def _require_strokes(cell: CellSpec, scooped: Sequence[Demand]) -> None:
         if demand.source.mortar.corner_mm is None:
             for bed_mg in _beds_mg(demand):
                 stroke_in(cell, demand.source, bed_mg)
+
+
+def _require_destinations(
+    motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
+) -> None:
+    """SkillFailed for a place that powder goes to and the arm cannot stand at, with no mortar anywhere: moving one is
+    of no help.
+    """
+    alone = _planner(motion, cell, kinds, [])
+    for place in dict.fromkeys(place for demand in scooped for _, place, _ in _carries(cell, demand.source, kinds)):
+        alone.standing_at(place)
+
+
+def _planner(
+    motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], standing: Sequence[Source]
+) -> MotionPlanner:
+    """As `motion`, of a cell in which these mortars stand; SkillFailed for a place that the arm cannot reach."""
+    planner = MotionPlanner(motion.urdf, cell, {one.station: one.mortar for one in standing})
+    planner.patience_s = motion.patience_s
+    for name, position_mm in all_places(cell, {one.name: one for one in standing}, kinds).items():
+        planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+    return planner
 
 
 def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> list[tuple[str, str, float]]:
@@ -273,7 +296,7 @@ class _Elsewhere:
         cell = self._cell_with([place], aside)
         standing = [one for one in self._sources if one.station not in aside]
         try:
-            planner = self._planner(cell, standing)
+            planner = _planner(self._motion, cell, self._kinds, standing)
             _strokes_there(planner, cell, demand, self._asked_mg[place.station])
             _carried(planner, cell, demand.source, self._kinds)
             for name in planner.places:
@@ -288,7 +311,9 @@ class _Elsewhere:
             return False
         cell = self._cell_with(moved, ())
         try:
-            _ways(self._planner(cell, self._sources), self._plan, cell, self._kinds, self._scooped)
+            _ways(
+                _planner(self._motion, cell, self._kinds, self._sources), self._plan, cell, self._kinds, self._scooped
+            )
         except SkillFailed:
             return False
         return True
@@ -302,11 +327,3 @@ class _Elsewhere:
             if name in there or name not in aside
         }
         return self._cell.model_copy(update={"stations": stations})
-
-    def _planner(self, cell: CellSpec, standing: Sequence[Source]) -> MotionPlanner:
-        """One of a cell in which these mortars stand; SkillFailed for a place that the arm cannot reach."""
-        planner = MotionPlanner(self._motion.urdf, cell, {one.station: one.mortar for one in standing})
-        planner.patience_s = self._motion.patience_s
-        for name, position_mm in all_places(cell, {one.name: one for one in standing}, self._kinds).items():
-            planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
-        return planner
