@@ -26,9 +26,10 @@ from running import make_lab
 from harness.fleet import chaos
 from harness.postgres import Server, server, tools
 from scuhand_bt.events.entry import Event
+from scuhand_bt.fleet.database import ANSWER_S
 from scuhand_bt.fleet.needs import Offer, missing, needs_of, offer_of
 from scuhand_bt.fleet.order import Submission, submission_of, write
-from scuhand_bt.fleet.queue import ANSWER_S, ENDED, HELD_BACK, KnownStation, Queue, QueuedJob, Taken, choose, open_queue
+from scuhand_bt.fleet.queue import ENDED, HELD_BACK, KnownStation, Queue, QueuedJob, Taken, choose, open_queue
 from scuhand_bt.fleet.station import Manner, Station
 from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.presence import Presence
