@@ -76,6 +76,11 @@ def but(one: Submission, **changes: Any) -> Submission:
     return replace(one, order=one.order.model_copy(update=changes))
 
 
+def job_for(lab: Path, *stations: str) -> Submission:
+    """A simulated run of a lab's own recipe, for these."""
+    return but(submission_of(plan_of(lab), simulated=True), stations=stations)
+
+
 @pytest.fixture(scope="module")
 def offer(starter: Lab) -> Offer:
     return offer_of(starter, simulated=True, unattended=False)
@@ -571,11 +576,10 @@ def test_a_program_that_has_not_said_that_it_refuses_sends_its_job_to_no_other_s
     database: str, tmp_path: Path
 ) -> None:
     lab = make_lab(tmp_path / "lab")
-    order = submission_of(plan_of(lab), simulated=True)
 
     async def check() -> None:
         async with open_queue(database) as queue:
-            await queue.submit([but(order, stations=("here", "there"))])
+            await queue.submit([job_for(lab, "here", "there")])
             station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
 
             def kill_it(jobs: list[QueuedJob]) -> bool:
@@ -596,11 +600,10 @@ def test_a_run_whose_journal_is_gone_is_not_begun_again_and_holds_its_station_un
 ) -> None:
     """As where a lab's folder came back from a backup that is older than the run."""
     lab = make_lab(tmp_path / "lab")
-    order = submission_of(plan_of(lab), simulated=True)
 
     async def check() -> None:
         async with open_queue(database) as queue:
-            await queue.submit([but(order, stations=("here", "there"))])
+            await queue.submit([job_for(lab, "here", "there")])
             await queue.take("here")
             await queue.note(1, {"run": "night"})
             station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
@@ -854,11 +857,10 @@ def test_a_lab_has_one_station_and_a_name_one_lab(database: str, tmp_path: Path,
 def test_a_station_that_has_jobs_takes_none_under_another_name(database: str, tmp_path: Path, offer: Offer) -> None:
     """A run that was killed held back the others of its cell only until the station was called otherwise."""
     lab = make_lab(tmp_path / "lab")
-    order = submission_of(plan_of(lab), simulated=True)
 
     async def check() -> None:
         async with open_queue(database) as queue:
-            await queue.submit([but(order, stations=("one",))])
+            await queue.submit([job_for(lab, "one")])
             station = Station(queue, lab, "one", Manner(simulated=True), print, look_s=0.1)
             other = Station(queue, lab, "two", Manner(simulated=True), print, look_s=0.1)
             assert await queue.take("one") is not None

@@ -23,10 +23,11 @@ from scuhand_bt.run.outcome import Outcome
 from scuhand_bt.run.rejoin import rejoin
 from scuhand_bt.skill import SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
+from scuhand_bt.tree.guarded import While
 from scuhand_bt.tree.leaf import Consent, SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.library import Library
-from scuhand_bt.tree.nodes import ForEach, Repeat, Retry, Timeout, While, failure_of
+from scuhand_bt.tree.nodes import ForEach, Repeat, Retry, Timeout, failure_of
 from scuhand_bt.tree.replay import Decision, Replay
 from scuhand_bt.tree.substitutes import Substitutes
 

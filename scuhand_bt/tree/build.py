@@ -12,17 +12,16 @@ from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.skill import Condition
 from scuhand_bt.tree.expressions import Reference
 from scuhand_bt.tree.grammar import PARAMETERS, RECORD
+from scuhand_bt.tree.guarded import Guard, While
 from scuhand_bt.tree.leaf import Arguments, SkillLeaf, Ticking, Values
 from scuhand_bt.tree.library import Library, Percent, literal, resolve_percent
 from scuhand_bt.tree.nodes import (
     Chosen,
     Fallback,
     ForEach,
-    Guard,
     Repeat,
     Retry,
     Timeout,
-    While,
     WorkflowCall,
 )
 from scuhand_bt.tree.record import Round, recorded
