@@ -125,6 +125,11 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A sample done once more takes the next one's container from the changer, which may be of another kind.",
             "Slots by kind in robot/cell.yaml, or `flag` in place of `redo` and `ask`.",
         ),
+        "few-slots": _warning(
+            "A sample takes more containers than the changer has slots: a person fills that in its midst, and a "
+            "container that has gone by then, and comes again, is refused (`container.changed`).",
+            "Samples of fewer containers, or more `slots` in robot/cell.yaml.",
+        ),
         "lot-twice": _warning(
             "A dose that a sample asks for is followed by another of its lot into its container: there they are one.",
             "Another lot for one of them, or another container.",

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from scuhand_bt.cell.believed import is_used_up
+from scuhand_bt.cell.believed import slots_used
 from scuhand_bt.cell.pan_cleared import take_container_away
 from scuhand_bt.cell.weighing import (
     changed,
@@ -44,7 +44,7 @@ class PlaceContainer(Skill[None]):
     def _change(self, cell: Cell) -> Steps[None]:
         believed, exchanging = cell.believed, self._exchanged(cell)
         self._require_known(cell)
-        is_by_hand = cell.changer.needs_person or self._is_used_up(cell)
+        is_by_hand = cell.changer.needs_person or self._short_of(cell) is not None
         bare = yield from cell.right_of_way.undisturbed(exchanging) if is_by_hand else exchanging
         brought_s = cell.clock.now_s
         before = believed.had_gone(self.container.id)
@@ -102,27 +102,41 @@ class PlaceContainer(Skill[None]):
 
     def _exchanged(self, cell: Cell) -> Steps[StableMean]:
         """The container on the pan; what the pan weighed bare before it came."""
-        yield from self._refill(cell)
+        if not cell.changer.needs_person and not cell.spec.changer.takes(kind := self.container.name):
+            raise SkillFailed(Code.CONTAINER_MISSING, f"the changer has no slot for a container of the kind {kind}")
         bare = yield from take_container_away(cell, self.container)
         self._require_known(cell)  # it may be the one that went, and have shown just then that it was changed
+        if (short := self._short_of(cell)) is not None:
+            yield from self._fill(cell, short)
+            bare = yield from cell.right_of_way.stable_mean()
         yield from watched(cell, cell.changer.bring(self.container), weighing_of(bare))
         return bare
 
-    def _is_used_up(self, cell: Cell) -> bool:
-        if self.container.id in cell.believed.slots:  # it was brought before an interruption: it has its slot
-            return False
-        return is_used_up(cell.believed, self.container.name, cell.spec.changer)
+    def _kinds(self, cell: Cell) -> list[str]:
+        """Of the containers that are to come without a visit between: the sample's at its first one, else of this."""
+        names = [one.id for one in cell.of_job]
+        begins = self.container.id in names and not any(name in cell.believed.slots for name in names)
+        return [one.name for one in cell.of_job] if begins else [self.container.name]
 
-    def _refill(self, cell: Cell) -> Steps[None]:
-        """A changer that has given all its containers, or all of this kind, is filled again by the operator."""
-        believed, kind, changer = cell.believed, self.container.name, cell.spec.changer
-        if cell.changer.needs_person:
-            return
-        if not changer.takes(kind):
-            raise SkillFailed(Code.CONTAINER_MISSING, f"the changer has no slot for a container of the kind {kind}")
-        if self._is_used_up(cell):
-            used = f"all {changer.slots_for(kind)} {kind}" if changer.kinds else str(believed.slots_used)
-            answer = yield from cell.operator.ask(f"Fill the changer: {used} containers are used.")
-            if answer != "done":
-                raise SkillFailed(Code.OPERATOR_REFUSED, "the changer was not filled")
-            believed.slots_refilled()
+    def _short_of(self, cell: Cell) -> str | None:
+        """The kind of which the changer has too few left; None where it has enough, or this one its slot already."""
+        if cell.changer.needs_person or self.container.id in cell.believed.slots:
+            return None
+        changer = cell.spec.changer
+        return changer.short_of(slots_used(cell.believed, changer), self._kinds(cell))
+
+    def _fill(self, cell: Cell, kind: str) -> Steps[None]:
+        """All slots filled by the operator, the pan bare: what stands there has its slot with it.
+
+        SkillFailed operator.refused.
+        """
+        changer, used = cell.spec.changer, slots_used(cell.believed, cell.spec.changer).get(kind, 0)
+        slots, of_kind = changer.slots_for(kind), f" {kind}" if kind else ""
+        why = f"all {slots}{of_kind} containers are used"
+        if used < slots:
+            many = sum(not kind or one == kind for one in self._kinds(cell))
+            why = f"it has {slots - used} of {slots}{of_kind} containers left, and this sample takes {many}"
+        answer = yield from cell.operator.ask(f"Fill the changer, from its first slot on: {why}.")
+        if answer != "done":
+            raise SkillFailed(Code.OPERATOR_REFUSED, "the changer was not filled")
+        cell.believed.slots_refilled()

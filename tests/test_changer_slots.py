@@ -8,13 +8,14 @@ import pytest
 from conftest import Call, Desk, LabFolder
 from running import HEAD, Watching, dry_run, shared_planner
 
-from scuhand_bt.cell.believed import Believed, is_used_up, slot_of
+from scuhand_bt.cell.believed import Believed, slot_of, slots_used
 from scuhand_bt.device_specs.changer import ChangerSpec
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry, counted_otherwise
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Job, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.checking import check
 from scuhand_bt.run.inventory_conflicts import conflicts, recall
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, find_run, resumable
@@ -57,17 +58,34 @@ def test_each_kind_comes_from_its_own_slots_whatever_came_between() -> None:
     assert sorted(slots) == list(range(SLOTS.slot_count)), "no two from one slot"
 
 
+def short_of(believed: Believed, *kinds: str, changer: ChangerSpec = SLOTS) -> str | None:
+    return changer.short_of(slots_used(believed, changer), kinds)
+
+
 def test_a_kind_is_used_up_by_itself_and_a_person_fills_all() -> None:
     believed = Believed()
     for name in ("1", "2"):
-        assert not is_used_up(believed, "holder", SLOTS)
+        assert short_of(believed, "holder") is None
         brought(believed, of_kind("holder", name))
-    assert is_used_up(believed, "holder", SLOTS)
-    assert not is_used_up(believed, "die", SLOTS)
-    assert is_used_up(believed, "vial", SLOTS), "which it has no slot for"
+    assert short_of(believed, "holder") == "holder"
+    assert short_of(believed, "die") is None
+    assert short_of(believed, "vial") == "vial", "which it has no slot for"
     believed.slots_refilled()
-    assert not is_used_up(believed, "holder", SLOTS)
+    assert short_of(believed, "holder") is None
     assert brought(believed, of_kind("holder", "3")) == 0
+
+
+def test_what_a_sample_takes_has_to_be_left_before_its_first_container() -> None:
+    believed, in_order = Believed(), ChangerSpec(slots=3)
+    assert short_of(believed, "die", "holder", "holder") is None
+    brought(believed, of_kind("holder", "1"))
+    assert short_of(believed, "die", "holder", "holder") == "holder"
+    assert short_of(believed, "die", "holder", "die", "die") is None
+    assert short_of(believed, "die", "holder", changer=in_order) is None
+    assert short_of(believed, "die", "holder", "holder", changer=in_order) == ""
+    assert short_of(believed, "holder", "holder", "holder") is None, "more than it ever holds: what is left is taken"
+    brought(believed, of_kind("holder", "2"))
+    assert short_of(believed, "holder", "holder", "holder") == "holder"
 
 
 @pytest.mark.parametrize("slots", [0, -1, "many", True, 2.5, {}, {"holder": 0}, {"holder": "x"}, [3], None])
@@ -86,7 +104,7 @@ def test_in_a_dry_run_the_plan_says_when_a_kind_has_run_out_and_the_run_asks_the
         ("d", "fill the changer again (it holds 2 xrd_holder)")
     ]
     asked = [event["payload"]["question"] for event in read(ran.journal, "event") if event["kind"] == "asked"]
-    assert asked == ["Fill the changer: all 2 xrd_holder containers are used."]
+    assert asked == ["Fill the changer, from its first slot on: all 2 xrd_holder containers are used."]
     assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 4
     believed = ran.session.cell.believed
     assert (dict(believed.slots), dict(believed.slots_of_kinds)) == ({"d": 0}, {"xrd_holder": 1})
@@ -111,6 +129,94 @@ def test_the_inventory_counts_each_kind_and_a_batch_that_one_is_too_few_for_is_d
     (said,) = doubts(3, 2)
     assert "3 of the changer's 5 slots for xrd_holder are used" in said
     assert said.endswith("the batch has 3 containers of the kind xrd_holder")
+
+
+ALIQUOTS = """
+recipe: sets
+workflow: aliquots
+order: as_written
+defaults: {source: beads, mass: 40 mg, tolerance: 5 mg}
+samples:
+  - {id: a, containers: [xrd_holder, xrd_holder]}
+  - {id: b, containers: [pellet_die_13mm, xrd_holder]}
+  - {id: c, containers: [xrd_holder, pellet_die_13mm, xrd_holder]}
+  - {id: d, containers: [xrd_holder, pellet_die_13mm, xrd_holder]}
+"""
+
+
+def checked(lab_folder: LabFolder, slots: str) -> list[tuple[str, str]]:
+    """What `check` says of the samples' slots, and where."""
+    lab_folder.replace("robot/cell.yaml", "{driver: carousel, slots: 24}", slots)
+    recipe = lab_folder.write("recipes/sets.yaml", ALIQUOTS.strip() + HEAD)
+    found = check(lab_folder.load(), recipe, fast=True).problems
+    return [(f"{one.mark.line}:{one.mark.column}", one.message) for one in found if one.code == "few-slots"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("slots", "visits"),
+    [
+        ("5", [("c", "1 of 5 containers left"), ("d", "2 of 5 containers left, and this sample takes 3")]),
+        ("{xrd_holder: 4, pellet_die_13mm: 9}", [("c", "1 of 4 xrd_holder containers left, and this sample takes 2")]),
+        ("2", [("b", "all 2"), ("c", "all 2"), ("c", "all 2"), ("d", "all 2")]),
+    ],
+    ids=["in order", "by kind", "fewer than a sample takes"],
+)
+def test_the_changer_is_filled_before_a_sample_as_the_plan_says_and_with_the_pan_bare(
+    tmp_path: Path, lab_folder: LabFolder, slots: str, visits: list[tuple[str, str]]
+) -> None:
+    """It was filled with the last container on the pan, which kept its slot, and came again as an empty one."""
+    lab_folder.replace("robot/cell.yaml", "slots: 24", f"slots: {slots}")
+    ran = dry_run(tmp_path, ALIQUOTS, lab=lab_folder.folder)
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 4
+    assert [one.job for one in ran.session.plan.persons] == [job for job, _ in visits]
+    job, on_pan, answered_s, found = "", "", 0.0, list[tuple[str, str, str]]()
+    for row in read(ran.journal, "entry"):
+        kind, payload = row["kind"], row["payload"]
+        job = payload["name"] if kind == "job_started" else job
+        on_pan = {"container": payload.get("container"), "bracket": ""}.get(kind, on_pan)
+        if kind == "asked":
+            found.append((job, payload["question"], on_pan))
+        elif kind == "answered":
+            answered_s = row["time_s"]
+        elif kind == "container":
+            assert payload["bare"]["readings"][0]["time_s"] >= answered_s, "it may have been touched"
+    assert [(job, on_pan) for job, _, on_pan in found] == [(job, "") for job, _ in visits]
+    assert all(said in question for (_, question, _), (_, said) in zip(found, visits, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("slots", "said"),
+    [
+        ("{driver: carousel, slots: 3}", []),
+        ("{driver: carousel, slots: {pellet_die_13mm: 1, xrd_holder: 2}}", []),
+        ("{driver: operator, slots: 2}", []),
+        ("{driver: carousel, slots: 2}", [("8:25", "'c' takes more containers than the changer has slots: 2.")]),
+        (
+            "{driver: carousel, slots: {pellet_die_13mm: 1, xrd_holder: 1}}",
+            [
+                ("6:25", "'a' takes more containers of the kind xrd_holder than the changer has slots: 1."),
+                ("8:25", "'c' takes more containers of the kind xrd_holder than the changer has slots: 1."),
+            ],
+        ),
+    ],
+)
+def test_check_warns_of_samples_with_more_containers_than_the_changer_holds_of_those_alike_once(
+    lab_folder: LabFolder, slots: str, said: list[tuple[str, str]]
+) -> None:
+    found = checked(lab_folder, slots)
+    assert [place for place, _ in found] == [place for place, _ in said]
+    assert all(message.startswith(what) for (_, message), (_, what) in zip(found, said, strict=True))
+
+
+def test_the_inventory_counts_every_container_of_a_batch(desk: Desk, lab_folder: LabFolder) -> None:
+    """It counted samples: a run began with too few left, and filled the changer when the plan did not say so."""
+    plan = make_plan(desk.load(ALIQUOTS.strip() + HEAD), desk.lab)
+    for used, many in ((14, 0), (15, 1)):
+        stock = {("changer", ""): StockEntry("changer", "", used=used)}
+        found = [one.what for one in conflicts(plan, desk.lab.cell, stock)]
+        assert len(found) == many
+        assert all(what.endswith("the batch has 10 containers") for what in found)
 
 
 def test_a_run_goes_on_where_the_inventory_says_that_each_kind_is(tmp_path: Path, lab_folder: LabFolder) -> None:

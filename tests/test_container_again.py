@@ -14,7 +14,8 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.report.powder_balance import powder_balance
 from scuhand_bt.run.options import Options
-from scuhand_bt.run.resume import checked_history, resumable
+from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.resume import Resumable, checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 
@@ -47,6 +48,13 @@ def again_lab(
     return lab, recipe
 
 
+def two_samples(recipe: Path) -> None:
+    """Another one like the recipe's."""
+    text = recipe.read_text()
+    sample = text[text.index("[") + 1 : text.index("]")]
+    recipe.write_text(text.replace(sample, f"{sample}, {sample.replace('id: a', 'id: b')}"))
+
+
 def again(tmp_path: Path, *steps: str, **kinds: Any) -> Ran:
     lab, recipe = again_lab(tmp_path, *steps, **kinds)
     return dry_run(tmp_path, recipe.read_text(), lab=lab, controller="adaptive")
@@ -54,6 +62,7 @@ def again(tmp_path: Path, *steps: str, **kinds: Any) -> Ran:
 
 FIRST, SPARE = PLACE % "$first", PLACE % "$spare"
 HALF, WHOLE, OF_SPARE = (FILL % what for what in (("$first", "$mass / 2"), ("$first", "$mass"), ("$spare", "$mass")))
+WAIT = "\n    - wait: {duration: 1 min}"
 DISCARD = "\n    - discard_container:"
 
 
@@ -133,6 +142,16 @@ def test_a_container_whose_changer_was_filled_again_meanwhile_does_not_come_agai
     assert "filled again" in str(had.detail)
 
 
+def test_the_changer_is_filled_before_a_sample_whose_container_comes_again(tmp_path: Path) -> None:
+    """Filled in its midst, it had nothing of what the first container's first visit had brought."""
+    lab, recipe = again_lab(tmp_path, FIRST, HALF, SPARE, OF_SPARE, FIRST, WHOLE, slots=3)
+    two_samples(recipe)
+    ran = dry_run(tmp_path, recipe.read_text(), lab=lab, controller="adaptive")
+    assert [str(one) for one in ran.session.plan.persons] == ["needed at 'b': fill the changer again (it holds 3)"]
+    assert [(had.is_good, had.detail) for had in ran.result.samples] == [(True, None)] * 2
+    assert [row["kind"] for row in read(ran.journal, "event")].count("asked") == 1
+
+
 class StopsAsItWaits(Watching):
     """Stops the run in a `wait`."""
 
@@ -142,28 +161,48 @@ class StopsAsItWaits(Watching):
             self.session.control.wish("stop_now")
 
 
-def test_an_outage_in_a_second_visit_finds_what_the_first_has_brought(tmp_path: Path) -> None:
-    """It was taken for a part of the empty container, which held less then than it can."""
-    lab, path = again_lab(tmp_path, FIRST, HALF, SPARE, FIRST, "\n    - wait: {duration: 1 min}", WHOLE)
+def stopped_and_resumed(tmp_path: Path, lab: Path, path: Path, stops: Watching) -> tuple[Session, BatchResult]:
+    """A run that is stopped as `stops` wishes, and then gone on with to its end."""
     loaded = load_lab(lab)
     plan = make_plan(load_recipe(path, loaded), loaded)
-    found, result = None, None
-    for watching in (StopsAsItWaits(), Watching()):
-        session = Session(
-            plan, loaded, Options(DryRun(), "adaptive", tmp_path / "runs"), shared_planner(plan, loaded), resumes=found
-        )
-        watching.session = session
+    options, planner = Options(DryRun(), "adaptive", tmp_path / "runs"), shared_planner(plan, loaded)
+
+    def run(watching: Watching, found: Resumable | None = None) -> tuple[Session, BatchResult]:
+        watching.session = session = Session(plan, loaded, options, planner, resumes=found)
         try:
-            result = session.run(watching)
+            return session, session.run(watching)
         finally:
             session.close()
-        if found is None:
-            assert result.exit_code == ExitCode.INTERRUPTED
-            journal = session.journal.path
-            found = resumable(journal, checked_history(journal), plan, loaded, accept_changes=False)
-    assert result is not None
+
+    session, result = run(stops)
+    assert result.exit_code == ExitCode.INTERRUPTED
+    journal = session.journal.path
+    return run(Watching(), resumable(journal, checked_history(journal), plan, loaded, accept_changes=False))
+
+
+def test_a_run_that_stopped_before_the_first_container_of_a_sample_goes_on_with_what_that_takes(tmp_path: Path) -> None:
+    """It forgot, and filled the changer between two visits of one container."""
+    lab, recipe = again_lab(tmp_path, WAIT, FIRST, HALF, SPARE, FIRST, WHOLE, slots=3)
+    two_samples(recipe)
+
+    class StopsInTheSecond(StopsAsItWaits):
+        def ticked(self, root: Any) -> None:
+            assert self.session is not None
+            if self.session.cell.believed.slots:
+                super().ticked(root)
+
+    session, result = stopped_and_resumed(tmp_path, lab, recipe, StopsInTheSecond())
+    assert [(had.is_good, had.detail) for had in result.samples] == [(True, None)] * 2
+    assert dict(session.cell.believed.slots) == {"b/first": 0, "b/spare": 1}
+
+
+def test_an_outage_in_a_second_visit_finds_what_the_first_has_brought(tmp_path: Path) -> None:
+    """It was taken for a part of the empty container, which held less then than it can."""
+    lab, path = again_lab(tmp_path, FIRST, HALF, SPARE, FIRST, WAIT, WHOLE)
+    session, result = stopped_and_resumed(tmp_path, lab, path, StopsAsItWaits())
     (had,) = result.samples
-    (told,) = (row["payload"] for row in read(journal, "event") if row["kind"] == "container_reweighed")
+    (told,) = (row["payload"] for row in read(session.journal.path, "event") if row["kind"] == "container_reweighed")
     assert (told["counts"], told["held_mg"]) == (True, pytest.approx(25.0, abs=2.0))
     assert (had.is_good, [dose.lot for dose in had.doses]) == (True, ["glass_beads"])
+    assert session.world is not None
     assert had.dispensed_mg == pytest.approx(session.world.masses_mg["container:a/first"], abs=0.6)

@@ -347,7 +347,6 @@ def slot_of(believed: Believed, container: Container, first_slot: int | None = N
     return believed.slots_used if first_slot is None else first_slot + believed.slots_of_kinds.get(container.name, 0)
 
 
-def is_used_up(believed: Believed, kind: str, changer: ChangerSpec) -> bool:
-    """Whether the changer has given all that it held of what a container of this kind could come from."""
-    used = believed.slots_of_kinds.get(kind, 0) if changer.kinds else believed.slots_used
-    return used >= changer.slots_for(kind)
+def slots_used(believed: Believed, changer: ChangerSpec) -> Mapping[str, int]:
+    """How many containers the changer has given since it was filled, by kind; as "" where none has slots of its own."""
+    return believed.slots_of_kinds if changer.kinds else {"": believed.slots_used}

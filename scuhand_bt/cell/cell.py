@@ -75,6 +75,8 @@ class Cell:
     """Called when a person has put so much more [mg] into the mortar of a source; the simulation follows."""
     weight_on_pan: Callable[[float], None] = lambda mass_mg: None
     """Called when the operator has put a weight [mg] on the pan, or taken it off (0); the simulation follows."""
+    of_job: Sequence[Container] = ()
+    """The containers of the job that goes on: the changer is filled before the first one, and not between them."""
     controller: str = DEFAULT_CONTROLLER
     """The dosing controller of this run."""
     strokes_made: dict[str, list[float]] = field(default_factory=dict)

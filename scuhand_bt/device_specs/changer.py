@@ -1,7 +1,8 @@
 """What brings containers, and how many."""
 
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field
@@ -84,6 +85,19 @@ class ChangerSpec(Spec):
     def slots_for(self, kind: str) -> int:
         """How many containers of a kind it holds, where it is filled with no others that want their slots."""
         return self.slots if isinstance(self.slots, int) else self.slots.get(kind, 0)
+
+    def short_of(self, used: Mapping[str, int], kinds: Iterable[str]) -> str | None:
+        """The first kind of which it has too few left for containers of these kinds that come without a visit between;
+        None where it has enough. Where kinds have no slots of their own that is "", in `used` as here.
+
+        Of more than it holds when it is full only the next one counts: it comes to a visit between them all the same.
+        """
+        wanted = Counter(kind if self.kinds else "" for kind in kinds)
+        for kind, many in wanted.items():
+            slots = self.slots_for(kind)
+            if used.get(kind, 0) + (many if many <= slots else 1) > slots:
+                return kind
+        return None
 
     def first_slot(self, kind: str) -> int | None:
         """The first slot, from 0, of a kind with slots of its own; None where it is filled in the plan's order."""

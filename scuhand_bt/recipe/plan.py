@@ -253,14 +253,13 @@ def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) 
     used, changer = Counter[str](), lab.cell.changer
     cell_file = Mark(str(lab.folder / CELL_FILE))
     for job, found in zip(jobs, forecasts, strict=True):
-        if job.sample is not None and job.sample.container is not None:
-            for container in job.sample.all_containers:
-                kind = container.name if changer.kinds else ""
-                if changer.driver != "operator" and 0 < changer.slots_for(kind) <= used[kind]:
-                    holds = f"{changer.slots_for(kind)} {kind}".rstrip()
-                    yield PersonNeeded(job.name, f"fill the changer again (it holds {holds})", cell_file)
-                    used.clear()
-                used[kind] += 1
+        kinds = [one.name for one in job.sample.all_containers] if job.sample is not None else []
+        for number, kind in enumerate(kinds if changer.driver != "operator" else ()):
+            if (short := changer.short_of(used, kinds if number == 0 else [kind])) is not None:
+                holds = f"{changer.slots_for(short)} {short}".rstrip()
+                yield PersonNeeded(job.name, f"fill the changer again (it holds {holds})", cell_file)
+                used.clear()
+            used[kind if changer.kinds else ""] += 1
         for expected in found:
             if expected.person is not None:
                 yield PersonNeeded(job.name, expected.person, expected.mark)

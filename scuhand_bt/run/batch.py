@@ -1,11 +1,11 @@
 """The batch: a plan's jobs one after the other, what to do when one fails, and a verdict for every sample."""
 
 import traceback
-from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
+from scuhand_bt.cell.believed import slots_used
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.liveness import Hung
@@ -17,6 +17,7 @@ from scuhand_bt.journal.results import Chosen, SampleResult, SampleVerdict, SoFa
 from scuhand_bt.journal.run_events import Broken, Ended
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries, sheet_changes
+from scuhand_bt.recipe.pour import each_of
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
@@ -27,6 +28,7 @@ from scuhand_bt.run.runner import Runner
 from scuhand_bt.run.sample_results import SampleResults
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
+from scuhand_bt.specs import Container
 from scuhand_bt.tree.leaf import Consent, SkillBug
 from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.replay import Replay
@@ -226,9 +228,7 @@ class Batch:
         believed, changer = self._cell.believed, self._cell.spec.changer
         to_come = [one.sample for one in self._plan.jobs[self._plan.jobs.index(job) + 1 :] if one.sample is not None]
         containers = [container for one in (sample, *to_come) for container in one.all_containers]
-        wanted = Counter(container.name if changer.kinds else "" for container in containers)
-        used = believed.slots_of_kinds if changer.kinds else {"": believed.slots_used}
-        return all(used.get(kind, 0) + many <= changer.slots_for(kind) for kind, many in wanted.items())
+        return changer.short_of(slots_used(believed, changer), [one.name for one in containers]) is None
 
     def _count_overshoots(self, result: SampleResult) -> None:
         """Whichever the powder: samples share the balance and the valve. One that was not dosed tells nothing."""
@@ -293,6 +293,7 @@ class Batch:
             journal.so_far = before.so_far
             return Outcome(before.failure)
         self._observer.attempt_started(job, attempt)
+        self._cell.of_job = [value for _, value in each_of(inputs) if isinstance(value, Container)]
         if before is None:
             self._cell.begin_sample(sample_id or job.name, attempt)
             self._cell.believed.dose_began(self._cell.clock.now_s)

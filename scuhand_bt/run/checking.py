@@ -6,6 +6,7 @@ What is wrong in a file of the lab that the recipe does not use is told as a war
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from scuhand_bt.program import source_digest
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.demand import needed_mg
 from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
+from scuhand_bt.recipe.pour import each_of
 from scuhand_bt.recipe.recipe import Recipe, RecipeGiven, read_recipe
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
@@ -30,6 +32,7 @@ from scuhand_bt.run.one_scoop import warn_of_one_scoop
 from scuhand_bt.run.stroke_ways import MortarCannotBeScooped, poor_first_mg
 from scuhand_bt.silencers import without_silenced
 from scuhand_bt.skill import SkillFailed
+from scuhand_bt.specs import Container
 from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.lint import Lint
 from scuhand_bt.tree.workflow import Call, walk
@@ -139,6 +142,7 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
     _check_first_strokes(plan, lab, problems)
     warn_of_one_scoop(plan, lab.cell, problems)
     _check_redone(recipe, lab, problems)
+    _check_slots(recipe, lab, problems)
     if not fast:
         _check_ways(plan, lab, problems)
     return plan
@@ -170,6 +174,31 @@ def _check_redone(recipe: Recipe, lab: Lab, problems: Problems) -> None:
     slots = ", ".join(f"{kind}: …" for kind in kinds)
     remedy = f"slots by kind in {CELL_FILE} (`slots: {{{slots}}}`), or `flag`"
     problems.warn(recipe.marks[f"on_failure.{recipe.redone[0]}"], what, remedy, code="redo-shifts")
+
+
+def _check_slots(recipe: Recipe, lab: Lab, problems: Problems) -> None:
+    """Warn of samples with more containers than the changer holds when it is full; of those alike, once."""
+    changer, told = lab.cell.changer, set[tuple[str, ...]]()
+    for sample in recipe.samples if changer.driver != "operator" else ():
+        kinds = tuple(one.name for one in sample.all_containers)
+        if kinds in told:
+            continue
+        told.add(kinds)
+        found = Counter[str]()
+        for key, container in each_of(sample.inputs):
+            if not isinstance(container, Container):
+                continue
+            if (short := changer.short_of(found, [container.name])) is not None:
+                slots, of_kind = changer.slots_for(short), f" of the kind {short}" if short else ""
+                what = (
+                    f"'{sample.id}' takes more containers{of_kind} than the changer has slots: {slots}. A person fills "
+                )
+                what += "it in its midst, and a container that has gone by then does not come again"
+                remedy = f"samples of at most {slots}, or more slots in {CELL_FILE}"
+                mark = recipe.marks.get(f"samples.{sample.id}.{key}", sample.mark)
+                problems.warn(mark, what, remedy, code="few-slots")
+                break
+            found[container.name if changer.kinds else ""] += 1
 
 
 def _check_doubts(recipe: Recipe, lab: Lab, problems: Problems) -> None:

@@ -245,7 +245,7 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
     for kind in cell.changer.kinds or ("",):
         if (known := stock.get(("changer", kind))) is None:
             continue
-        containers = batch[kind] if kind else sum(1 for one in plan.recipe.samples if one.container is not None)
+        containers = batch[kind] if kind else batch.total()
         used, slots, for_kind = known.used or 0, cell.changer.slots_for(kind), f" for {kind}" if kind else ""
         if not used or used + containers <= slots:
             continue
