@@ -115,10 +115,8 @@ class BelievedPowder:
         """
         if self.cone_mg > 0.0 and self.cone_source != source.name:
             raise ValueError(f"the cone holds powder of '{self.cone_source}', and has scooped from '{source.name}'")
-        share, there_mg = self.yields.get(source.name, 1.0), self.sources_mg.get(source.name, math.inf)
-        if share * mass(mass_mg) > there_mg:
-            mass_mg = there_mg / share
-        brought_mg = share * mass_mg
+        brought_mg = self.yields.get(source.name, 1.0) * mass(mass_mg)
+        brought_mg = min(brought_mg, self.sources_mg.get(source.name, math.inf))
         left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - brought_mg)
         self._set(
             cone_mg=self.cone_mg + brought_mg,
