@@ -23,7 +23,7 @@ POURED_FROM_MM = 30.0
 """The lip above the mortar's edge while the cone is poured out."""
 POURING_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
 """The axis' tilts on the way: between two of them the lip strays by some millimetres."""
-POURING_MM_PER_S = 100.0
+POURING_MM_PER_S = 120.0
 POURING_TURNS_DEG = (0.0, 90.0, -90.0, 60.0, -60.0)
 """The directions that it is poured in, from straight away from the arm: into a mortar that one, into a vessel any."""
 POURED_S = 1.0

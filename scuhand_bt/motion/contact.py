@@ -33,8 +33,8 @@ GLANCED_AT = 4
 """Every so many-th configuration of a course is looked at before it is proven: most that touch something do there."""
 LEAST_M_PER_S = 1e-4
 """A motion is as many cubics as it is long: what creeps more slowly would be planned for minutes."""
-TURN_RAD_PER_S = 0.6
-"""How fast the cone's axis may tilt on the way."""
+TURN_RAD_PER_M = 10.0
+"""How fast the cone's axis may tilt on the way, by the apex' speed: what is 0.1 m from it goes no faster by that."""
 TURNS_OF_SWIVEL_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8, 1.2, -1.2)
 """By how much the elbow may swing over the whole path, in the order tried."""
 
@@ -115,9 +115,8 @@ def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floa
     axes = np.array([pose.axis for pose in waypoints])
     seams = np.array([pose.seam for pose in waypoints])
     turns_rad = np.maximum(_turns_rad(axes), _turns_rad(seams))
-    legs_s = np.maximum(
-        np.linalg.norm(np.diff(positions_m, axis=0), axis=1) / speed_m_per_s, turns_rad / TURN_RAD_PER_S
-    )
+    legs_m = np.maximum(np.linalg.norm(np.diff(positions_m, axis=0), axis=1), turns_rad / TURN_RAD_PER_M)
+    legs_s = legs_m / speed_m_per_s
     width = round(AVERAGED_S / STEP_S) | 1
     # Standing still for as long as the averages reach, before and after, makes both ends rest.
     corners_s = width * STEP_S + np.concatenate([[0.0], np.cumsum(legs_s)])
