@@ -215,6 +215,7 @@ class Scoop(Skill[Milligrams]):
                 heading_deg=stroke.heading_deg,
                 gap_mm=stroke.gap_mm,
                 lip_force_n=lip_force_n(max(0.0, -stroke.gap_mm), cell.spec.hand),
+                lip_force_limit_n=LIP_FORCE_LIMIT_N,
                 duration_s=duration_s,
             )
         )

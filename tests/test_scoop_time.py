@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from running import Ran, dry_run
+from running import HEAD, Ran, dry_run, make_lab
 
 from scuhand_bt.cell.carrying import carrying_limit_deg
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
@@ -46,6 +46,23 @@ def test_powder_is_let_out_of_a_cone_of_its_usual_size_only(tmp_path: Path) -> N
     assert ran.session.cell.hand.cone_diameter_mm == pytest.approx(MOUNTED_DIAMETER_MM)
     over_s = [took_s for skill, took_s in _actions(ran) if skill == "move_over"]
     assert over_s[-1] > math.pi * (MOUNTED_DIAMETER_MM - 70.0) / ran.session.cell.spec.hand.morph_speed_mm_per_s
+
+
+@pytest.mark.parametrize(("thick_mm", "gap_mm", "force_n"), [(0.2, -1.0, 0.22), (0.6, -0.34, 2.0)])
+def test_a_lip_is_pressed_into_the_wall_for_the_last_powder_and_a_stiff_one_less_far(
+    tmp_path: Path, thick_mm: float, gap_mm: float, force_n: float
+) -> None:
+    """A strip's stiffness goes by the cube of its thickness: 27 times as much would be 5.9 N."""
+    lab = make_lab(tmp_path / "lab")
+    cell = lab / "robot" / "cell.yaml"
+    hand = f"{{driver: hand_controller, port: /dev/ttyACM0, sheet_thickness: {thick_mm} mm}}"
+    cell.write_text(cell.read_text().replace("{driver: hand_controller, port: /dev/ttyACM0}", hand))
+    recipe = RECIPE % "beads" + HEAD.replace("20 g", "1.2 g")
+    ran = dry_run(tmp_path, recipe, lab=lab)
+    (scoop,) = (row["payload"] for row in read(ran.journal, "event") if row["kind"] == "scoop")
+    assert scoop["gap_mm"] == pytest.approx(gap_mm, abs=0.01)
+    assert scoop["lip_force_n"] == pytest.approx(force_n, abs=0.01)
+    assert scoop["lip_force_limit_n"] == 2.0
 
 
 def test_where_the_cone_cannot_be_formed_on_the_way_it_is_formed_before(

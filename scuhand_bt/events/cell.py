@@ -23,6 +23,8 @@ class Scooped(SkillEvent):
     """Between the lip and the wall; less than 0: so far it was pressed into it."""
     lip_force_n: float | None = None
     """What that takes, by the sheet's bending stiffness."""
+    lip_force_limit_n: float | None = None
+    """The most that it may take: with a stiffer sheet the lip goes less far into the wall."""
     duration_s: float | None = None
     """Of the motion of arm and roller."""
 
