@@ -1,8 +1,10 @@
 """A rehearsal: the real drivers carry out a recipe in real time, and the world behind the twins judges it."""
 
 import itertools
+import time
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.bench import bench_of
 from scuhand_bt.run.options import ON_TWINS, Options, options_of
+from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun, Rehearsal
@@ -208,6 +211,13 @@ def test_without_a_compiler_there_is_no_rehearsal(tmp_path: Path, lab: Lab, monk
 # --- on twins of another program
 
 
+def stop(session: Session) -> None:
+    """How far the sheet is rolled no run in this lab has kept: it is asked for, and whoever is asked stops the run."""
+    while (asked := session.control.questions.waiting) is None:
+        time.sleep(0.05)
+    session.control.questions.give(asked.number, "stop", Who("Ada"))
+
+
 @pytest.mark.slow
 def test_a_run_on_twins_of_another_program_says_so_and_nothing_of_it_is_taken_for_real(
     tmp_path: Path, lab: Lab
@@ -219,6 +229,7 @@ def test_a_run_on_twins_of_another_program_says_so_and_nothing_of_it_is_taken_fo
             assert session.cell.simulated
             assert session.mode == ON_TWINS
             assert "real" not in session.title.replace("real drivers", "")
+            Thread(target=stop, args=(session,), daemon=True).start()
             session.run(Watching())
         finally:
             session.close()
@@ -235,9 +246,18 @@ def test_the_api_runs_on_what_is_at_the_ports_of_the_cell(tmp_path: Path, lab: L
     recipe = tmp_path / "one.yaml"
     recipe.write_text(HEAD + "  - {id: a, workflow: open}\n", encoding="utf-8")
     told: list[api.RunEvent] = []
+
+    def hear(event: api.RunEvent) -> None:
+        told.append(event)
+        if event.kind == "asked":
+            (journal,) = (tmp_path / "runs").glob("*.sqlite")
+            run = api.find_run(journal)
+            if (asked := run.question()) is not None:
+                run.answer(asked, "done")
+
     with bench_of(lab) as bench:
         at_twins = api.OpenLab(replace(lab, cell=bench.spec))
-        result = at_twins.run(recipe, operator="Ada", journals=tmp_path / "runs", on_event=told.append)
+        result = at_twins.run(recipe, operator="Ada", journals=tmp_path / "runs", on_event=hear)
     assert told[0].values["mode"] == ON_TWINS
     assert told[0].values["operator"] == "Ada"
     assert told[-1].kind in ("ended", "trouble")
