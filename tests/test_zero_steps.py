@@ -1,6 +1,5 @@
 """Containers onto the pan and off it: what the pan shows meanwhile, and what of it is the zero's doing."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -301,10 +300,13 @@ def test_a_balance_that_seems_to_have_begun_to_adapt_is_shown_the_container_once
     def found(step: Step, beyond: float = 0.0) -> BalanceBelief:
         return adapting if does_again or not told_again(rig) else learnt
 
-    monkeypatch.setattr(weighing, "shown_step", lambda *args: Step(1000.0, (0.1,), (0.0,)))
+    def shown(*args: object) -> Step:
+        return Step(1000.0, (0.1,), (0.0,))
+
+    monkeypatch.setattr(weighing, "shown_step", shown)
     monkeypatch.setattr(weighing, "balance_of", found)
-    place = rig.lab.library.skills["place_container"]
-    monkeypatch.setattr(sys.modules[place.__module__], "shown_step", lambda *args: Step(1000.0, (0.1,), (0.0,)))
+    # The lab's own, whatever other lab has put its skill of that name among the modules since.
+    monkeypatch.setitem(rig.lab.library.skills["place_container"]._change.__globals__, "shown_step", shown)
     rig.do("place_container", container=NEXT)
     assert [again.container for again in told_again(rig)] == [NEXT.id]
     assert rig.cell.balance_belief.adapts == does_again
