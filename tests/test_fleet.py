@@ -880,7 +880,8 @@ def test_an_idle_station_says_anew_what_its_cell_has(
 ) -> None:
     """A mortar that was filled since, a powder that was added: none of it was known before the next job had been run.
 
-    And one that was forgotten while it works is there again; one whose lab is broken just then goes on.
+    And one that was forgotten while it works is there again; one whose lab is broken just then goes on, and one that
+    lacks its powders, as their file is wrong, says so.
     """
     lab, said = make_lab(tmp_path / "lab"), list[str]()
     monkeypatch.setattr("scuhand_bt.fleet.station.IDLE_LOOKS", 2)
@@ -903,10 +904,17 @@ def test_an_idle_station_says_anew_what_its_cell_has(
             while not any(line.startswith("the lab is broken: ") for line in said):
                 await asyncio.sleep(0.05)
             cell.write_text(text)
+            powders = lab / "robot" / "powders.yaml"
+            known = powders.read_text()
+            powders.write_text(f"{known}sand: [\n")
+            while not said[-1].startswith(f"waits for a job; wrong in its lab: {powders}:"):
+                await asyncio.sleep(0.05)
+            assert {said[-1]} == {one.state for one in await queue.stations()}
+            powders.write_text(known)
             Inventory(lab / ".scuhand", "starter").enter(
                 StockEntry("station", "mortar_bay", "glass_beads", "GB-7", 5e3)
             )
-            while await lots() != {"mortar_bay": "glass_beads/GB-7"}:
+            while await lots() != {"mortar_bay": "glass_beads/GB-7"} or said[-1] != "waits for a job":
                 await asyncio.sleep(0.05)
             station.leave()
             await working

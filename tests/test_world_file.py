@@ -577,7 +577,7 @@ def test_damage_is_an_older_state_or_a_clear_error(tmp_path: Path, data: st.Data
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"SQLite format 3\0" + bytes(9000), b"scuhand_bt world 3\n", b"scuhand_bt world 2\n" + bytes(9000)]
+    "content", [b"", b"SQLite format 3\0" + bytes(9000), b"scuhand_bt world 4\n", b"scuhand_bt world 3\n" + bytes(9000)]
 )
 def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.world"

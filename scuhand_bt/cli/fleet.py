@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
+from scuhand_bt.cli.listing import Listing
 from scuhand_bt.cli.shared import JsonFlag, LabOption, UnattendedFlag, app, err, out, print_json, the_lab, the_plan
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import Mark, Problem, SourceError
@@ -118,7 +118,7 @@ def queue(
     if as_json:
         print_json([{**asdict(job), "at": job.at.isoformat()} for job in found])
         return
-    table = Table("job", "recipe", "station", "status", "by", "since", "run", "", show_edge=False)
+    table = Listing("job", "recipe", "station", "status", "by", "since", "run", "")
     for job in found:
         status = f"{job.status}, to stop" if job.is_to_stop else job.status
         said = job.said
@@ -192,7 +192,7 @@ def fleet(
         offers = [one.offer.model_dump(mode="json") if one.offer is not None else None for one in found]
         print_json([{**asdict(one), "offer": offer} for one, offer in zip(found, offers, strict=True)])
         return
-    table = Table("station", "cell", "heard of", "jobs", "before it", "state", show_edge=False)
+    table = Listing("station", "cell", "heard of", "jobs", "before it", "state")
     for one in found:
         heard = "now" if one.is_there else f"{format_duration(one.silent_s)} ago"
         ahead = format_duration(one.ahead_s) if one.jobs else ""
