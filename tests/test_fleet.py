@@ -39,6 +39,7 @@ from scuhand_bt.journal.run_events import Continued, Ended, Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.lab_state.inventory import Inventory, StockEntry
+from scuhand_bt.lab_state.persons import Persons
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
@@ -1053,6 +1054,21 @@ def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
     code, _, err = command("station")
     assert code == 2
     assert "--operator" in err
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [(" ", "a person's name has 1 to 80 signs"), ("a\x1b[31m", "that can be read"), ("Ada", "Ada signs with a PIN")],
+)
+def test_a_station_refuses_an_operator_in_whose_name_no_run_could_begin(
+    name: str, why: str, command: Call, tmp_path: Path
+) -> None:
+    """It began, and every job that it took was refused by its run."""
+    lab = make_lab(tmp_path / "lab")
+    Persons(lab / ".scuhand").enrol("Ada", "123456")
+    refused = command("station", "--operator", name, "--lab", lab, "--database", "host=127.0.0.1 port=1")
+    assert refused.returncode == 2
+    assert why in " ".join(refused.stderr.replace("│", " ").split())
 
 
 def test_a_station_has_no_name_that_is_too_long_for_the_queue(command: Call, tmp_path: Path, database: str) -> None:

@@ -52,6 +52,8 @@ def station(
     if name is not None and not (name.strip() and name.isprintable()):
         raise typer.BadParameter("a name is of letters that can be seen", param_hint="--name")
     folder = the_lab(lab).folder
+    if operator is not None:
+        _require_unsigned(operator, lab)
 
     async def work() -> None:
         async with open_queue(database) as queue:
@@ -205,6 +207,20 @@ def _cell_of(station: "KnownStation") -> str:
     if station.offer is None:
         return "of another version"
     return f"{station.offer.cell} (SIMULATED)" if station.offer.simulated else station.offer.cell
+
+
+def _require_unsigned(operator: str, lab: Path | None) -> None:
+    """BadParameter for a person in whose name no run could begin when a job comes."""
+    from scuhand_bt.api import find_state
+    from scuhand_bt.api.books import Persons, person_name
+
+    try:
+        name = person_name(operator)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--operator") from None
+    if name in Persons(find_state(lab)).names():
+        what = f"{name} signs with a PIN, which nobody can be asked for when a job comes: name somebody who has none"
+        raise typer.BadParameter(what, param_hint="--operator")
 
 
 def _require_fleet() -> None:
