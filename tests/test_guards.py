@@ -201,6 +201,16 @@ def test_what_settles_is_no_leak(monkeypatch: pytest.MonkeyPatch, balance: str, 
     assert guarded.watch(40.0, happens(guarded)) is None
 
 
+@pytest.mark.parametrize("lag_s", [1.0, 1.3, 1.6, 2.0])
+@pytest.mark.parametrize("open_s", [0.5, 2.0, 5.0])
+def test_a_balance_that_was_set_slower_in_a_dose_is_no_leak(
+    monkeypatch: pytest.MonkeyPatch, lag_s: float, open_s: float
+) -> None:
+    guarded = Guarded(monkeypatch, balance=BalanceSpec(simulation=BalanceResponseSpec(lag_s=lag_s)))
+    guarded.cell.balance_belief = BalanceBelief(lag_s=0.3, fits=1)
+    assert guarded.watch(20.0, guarded.cell.hand.pulse(0.8, open_s)) is None
+
+
 @pytest.mark.parametrize("fault", ["balance.draught", "balance.drifting", "balance.unstable"])
 def test_a_restless_balance_is_no_leak(guarded: Guarded, fault: str) -> None:
     guarded.begin(fault)

@@ -9,6 +9,7 @@ faults there are two that only the readings tell:
 
 import math
 from collections import deque
+from itertools import pairwise
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import DEVICES
@@ -30,8 +31,10 @@ LEAK_MG_PER_S = 1.0
 """A steady rise to call a leak: twice what a balance in bad need of service drifts."""
 BLOCK_S = 0.5
 """Readings are averaged over so much time, or a balance's lag or three of its periods where that is more."""
-RISES = 4
-"""A leak has raised so many averages in a row. A push or a step raises at most two, and then no more."""
+RISES, RISES_AT_ONCE = 4, 8
+"""A leak has raised so many averages in a row. A push or a step raises at most two, and then no more; what an opening
+let out raises four as steadily on a balance that was set slower meanwhile, so that a rise that has gone on ever since
+has to last twice as long."""
 STEADY = 0.5
 """The least of these rises as a share of the greatest: what is only settling slows down faster."""
 CERTAIN = 3.0
@@ -124,7 +127,8 @@ class _Rise:
         self._ends_s: float | None = None
         self._zero_mg = self._sum = self._squares = 0.0
         self._count = 0
-        self._means: deque[float] = deque(maxlen=RISES + 1)
+        self._means: deque[float] = deque(maxlen=RISES_AT_ONCE + 1)
+        self._needed = RISES_AT_ONCE
 
     def add(self, reading: Reading) -> float | None:
         """The rate [mg/s] of a steady rise, at the end of a block that shows one."""
@@ -144,10 +148,9 @@ class _Rise:
         means = self._means
         if means and mean_mg - means[-1] < max(self._least_mg, CERTAIN * error_mg):
             means.clear()
+            self._needed = RISES
         means.append(mean_mg)
-        if len(means) <= RISES:
+        rises = [after - before for before, after in pairwise(means)][-self._needed :]
+        if len(rises) < self._needed or min(rises) < STEADY * max(rises):
             return None
-        rises = [means[i + 1] - means[i] for i in range(RISES)]
-        if min(rises) < STEADY * max(rises):
-            return None
-        return sum(rises) / (RISES * self._block_s)
+        return sum(rises) / (len(rises) * self._block_s)
