@@ -8,8 +8,9 @@ dead time and way included, t [s] how long that takes, p `PRICE_PER_S`; good(r) 
 surely so, and a little less away from the target. x is sampled from the plant's flow, from its median state on. r only
 falls, so that one pass from below solves it.
 
-A best of many samples flatters itself: where little comes the samples of holding are more and longer, until as much
-has come, and each move has a price that forbids to try until the samples' luck returns.
+A best of many samples flatters itself, and would hop between openings whose samples had few lumps. So the samples are
+two halves: what one half says is best is worth what the other says of it, and V is the mean of both. What is done is
+the best by all samples. Where V itself was lucky is still sought, which a small price of each move forbids.
 """
 
 import copy
@@ -236,30 +237,41 @@ class Model:
         self._missing_mg = missing_mg = np.concatenate([[-tolerance_mg - 0.001], fine_mg, coarse_mg])
         origins, targets = (np.array([move[side] for move in moves]) + 1 for side in (0, 1))
         costs = PRICE_PER_S * np.array([move[2] for move in moves]) + MOVE_PRICE * (origins != targets)
-        chances = np.array([_chances(missing_mg, move[3] * by) for move, by in zip(moves, off, strict=True)])
-        first = np.searchsorted(origins, np.arange(OPENINGS + 1))
+        halves = [np.array_split(move[3] * by, 2) for move, by in zip(moves, off, strict=True)]
+        chances = np.array([[_chances(missing_mg, half[one]) for half in halves] for one in (0, 1)])
         aside = np.abs(missing_mg) / tolerance_mg
         good = np.where(aside <= 1.0, 1.0 - ASIDE * aside - UNSURE * (aside > 1.0 - GUARD_MG / tolerance_mg), 0.0)
+        choices = _choices(origins)
         self._values = values = np.zeros((OPENINGS + 1, len(missing_mg)))
         self._best = np.full(values.shape, SHUT)
         for at in range(1, len(missing_mg)):
-            below = np.einsum("mr,mr->m", chances[:, at, :at], values[targets, :at]) - costs
-            stays, leaves = chances[:, at, at], chances[:, at, :at].sum(axis=1)
+            below = np.einsum("hmr,mr->hm", chances[:, :, at, :at], values[targets, :at]) - costs
+            stays, leaves = chances[:, :, at, at], chances[:, :, at, :at].sum(axis=2)
             holds = (origins == targets) & (leaves > 0.0)
             here = np.zeros(OPENINGS + 1)
             here[0] = good[at]
             for _ in range(ROUNDS):
                 worth = below + stays * here[targets]
                 worth[holds] = below[holds] / leaves[holds]  # held until something comes
-                here = np.maximum.reduceat(worth, first)
-                here[0] = max(here[0], good[at])
+                ends = np.full((2, 1), good[at])
+                open_to = np.concatenate([worth, ends, np.full((2, 1), -np.inf)], axis=1)[:, choices]
+                chosen = open_to.argmax(axis=2)[::-1, :, None]
+                here = np.take_along_axis(open_to, chosen, axis=2)[:, :, 0].mean(axis=0)
             values[:, at] = here
-            for origin in range(OPENINGS + 1):
-                end = first[origin + 1] if origin < OPENINGS else len(moves)
-                self._best[origin, at] = targets[first[origin] + int(np.argmax(worth[first[origin] : end]))] - 1
+            best = choices[np.arange(OPENINGS + 1), open_to.mean(axis=0).argmax(axis=1)]
+            self._best[:, at] = np.append(targets - 1, SHUT)[best]
             self._best[here <= 0.0, at] = SHUT  # all is lost: no more than need be
-            if good[at] >= here[0]:
-                self._best[0, at] = SHUT
+
+
+def _choices(origins: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Of each origin its moves; where it is shut the dose may end too, which is the one after the last move.
+
+    The one after that is none, and fills the rows.
+    """
+    moves = [np.flatnonzero(origins == origin) for origin in range(OPENINGS + 1)]
+    moves[0] = np.append(moves[0], len(origins))
+    most = max(map(len, moves))
+    return np.array([np.pad(row, (0, most - len(row)), constant_values=len(origins) + 1) for row in moves])
 
 
 def _chances(missing_mg: Floats, masses_mg: Floats) -> Floats:

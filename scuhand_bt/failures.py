@@ -231,8 +231,9 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices", "run"),
     ),
     Code.HAND_LEAK: Failure(
-        "Powder runs onto the pan although the valve is shut.",
-        "Hold a vessel under the cone and empty it; look for powder in the valve, or a fold or hole in the sheet.",
+        "Powder runs onto the pan though the valve is shut, or late, on a balance that was set slower in the dose.",
+        "Hold a vessel under the cone and empty it; look for powder in the valve, or a fold or hole in the sheet. "
+        "Where nothing runs, look at the balance's filter; then resume.",
         ("run",),
     ),
     Code.HAND_ROLLER_LOST: Failure(

@@ -205,6 +205,10 @@ class Powder(Spec):
             raise ValueError(f"'max_opening' is {widest}, and nothing comes up to the belief's 'threshold', {least}")
         if self.max_opening_mm <= self.belief.least_mm:
             raise ValueError(f"'max_opening' is {self.max_opening_mm:g} mm, and {self.belief.little_comes}")
+        if self.paper.max_opening_mm <= self.belief.least_mm:
+            raise ValueError(
+                f"'max_opening' of 'paper' is {self.paper.max_opening_mm:g} mm, and {self.belief.little_comes}"
+            )
         return self
 
     def widest_mm(self, controller: str) -> float:

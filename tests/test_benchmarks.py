@@ -31,7 +31,7 @@ from benchmarks.dosing_worth import AGAIN, AS_IT_IS, filled, noise, worth
 from benchmarks.oracle_model import SHUT, Model
 from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
 from harness.random_physics import DrawnFlow, FlowFigures
-from harness.random_plants import draw
+from harness.random_plants import Drawn, draw
 from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing import estimation
 from scuhand_bt.dosing.controller import LONGEST_UNWEIGHED_S
@@ -130,13 +130,24 @@ def test_the_oracle_ends_a_dose_that_is_good_and_opens_the_wider_the_more_is_mis
 def test_of_exponential_lumps_the_oracle_expects_about_as_many_good_as_end_within_the_tolerance() -> None:
     figures = FlowFigures(flow_mg_per_s=10.0, gravity=0.0, lump_share=0.99, lump_mg=4.0)
     good = 1.0 - math.exp(-4.0 / 4.0)  # the first to cross the lower edge is memoryless beyond it
-    assert good - 0.05 < model_of(figures).worth(40.0) < good + 0.18  # the best of 16 samples flatters itself
+    assert good - 0.05 < model_of(figures).worth(40.0) < good + 0.1  # the best of 16 samples flatters itself
 
 
 def test_the_oracle_does_not_shake_crystals_that_would_come_in_avalanches() -> None:
     crystals = shipped_powders()["monosodium_glutamate"]
     trials = run_of_doses(crystals, 500.0, "oracle", 0, Setting())
     assert all(abs(trial.true_error_mg) <= 2.0 for trial in trials)
+
+
+def judged_plants(family: str) -> list[Drawn]:
+    """Where the better of two shows within some dozens of doses.
+
+    Of exponential lumps the first to cross the lower edge is good or not by chance, whoever doses; and with few plants
+    of others one lump in a hundred doses decides.
+    """
+    if family != "lumps":
+        return draw(family, shipped_powders(), 3)
+    return [drawn for drawn in draw(family, shipped_powders(), 12) if drawn.flow.lump_kind != "exponential"]
 
 
 @pytest.mark.parametrize(
@@ -146,7 +157,7 @@ def test_the_oracle_is_as_good_as_adaptive_on_each_plant_and_faster(family: str,
     def of(controller: str) -> tuple[int, float]:
         doses = [
             dose
-            for drawn in draw(family, shipped_powders(), 3)
+            for drawn in judged_plants(family)
             for dose in dosing_random.run_of_doses(drawn, [target_mg] * count, controller)
         ]
         return sum(abs(dose.error_mg) <= 2.0 for dose in doses), sum(dose.duration_s for dose in doses)

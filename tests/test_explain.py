@@ -52,6 +52,13 @@ def test_a_dose_that_was_not_reached_asks_for_nothing_that_a_lab_cannot_set(expl
     assert "controller `adaptive`" in said
 
 
+def test_a_leak_that_is_none_is_said_to_be_a_balance_that_was_set_slower(explain: Call) -> None:
+    """So a filter of 1.6 s a pole passes that was 0.3 s as the valve opened; the run goes on well when resumed."""
+    said = " ".join(explain("hand.leak")[1].split())
+    assert "or late, on a balance that was set slower in the dose" in said
+    assert "Where nothing runs, look at the balance's filter; then resume." in said
+
+
 def test_what_devices_raise_is_said_to_come_from_any_skill(explain: Call) -> None:
     said = explain("balance.unstable")[1]
     assert "Raised by: the skill watch_balance; scuhand_bt/devices, within any skill" in said

@@ -39,6 +39,7 @@ from scuhand_bt.journal.run_events import Continued, Ended, Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.lab_state.inventory import Inventory, StockEntry
+from scuhand_bt.lab_state.persons import Persons
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
@@ -880,7 +881,8 @@ def test_an_idle_station_says_anew_what_its_cell_has(
 ) -> None:
     """A mortar that was filled since, a powder that was added: none of it was known before the next job had been run.
 
-    And one that was forgotten while it works is there again; one whose lab is broken just then goes on.
+    And one that was forgotten while it works is there again; one whose lab is broken just then goes on, and one that
+    lacks its powders, as their file is wrong, says so.
     """
     lab, said = make_lab(tmp_path / "lab"), list[str]()
     monkeypatch.setattr("scuhand_bt.fleet.station.IDLE_LOOKS", 2)
@@ -903,10 +905,17 @@ def test_an_idle_station_says_anew_what_its_cell_has(
             while not any(line.startswith("the lab is broken: ") for line in said):
                 await asyncio.sleep(0.05)
             cell.write_text(text)
+            powders = lab / "robot" / "powders.yaml"
+            known = powders.read_text()
+            powders.write_text(f"{known}sand: [\n")
+            while not said[-1].startswith(f"waits for a job; wrong in its lab: {powders}:"):
+                await asyncio.sleep(0.05)
+            assert {said[-1]} == {one.state for one in await queue.stations()}
+            powders.write_text(known)
             Inventory(lab / ".scuhand", "starter").enter(
                 StockEntry("station", "mortar_bay", "glass_beads", "GB-7", 5e3)
             )
-            while await lots() != {"mortar_bay": "glass_beads/GB-7"}:
+            while await lots() != {"mortar_bay": "glass_beads/GB-7"} or said[-1] != "waits for a job":
                 await asyncio.sleep(0.05)
             station.leave()
             await working
@@ -1045,6 +1054,21 @@ def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
     code, _, err = command("station")
     assert code == 2
     assert "--operator" in err
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [(" ", "a person's name has 1 to 80 signs"), ("a\x1b[31m", "that can be read"), ("Ada", "Ada signs with a PIN")],
+)
+def test_a_station_refuses_an_operator_in_whose_name_no_run_could_begin(
+    name: str, why: str, command: Call, tmp_path: Path
+) -> None:
+    """It began, and every job that it took was refused by its run."""
+    lab = make_lab(tmp_path / "lab")
+    Persons(lab / ".scuhand").enrol("Ada", "123456")
+    refused = command("station", "--operator", name, "--lab", lab, "--database", "host=127.0.0.1 port=1")
+    assert refused.returncode == 2
+    assert why in " ".join(refused.stderr.replace("│", " ").split())
 
 
 def test_a_station_has_no_name_that_is_too_long_for_the_queue(command: Call, tmp_path: Path, database: str) -> None:

@@ -72,6 +72,12 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
         ),
         (
             "powders",
+            "paper: {gain: 0.33, max_opening: 2.4 mm}",
+            "paper: {gain: 0.33, max_opening: 0.1 mm}",
+            "'max_opening' of 'paper' is 0.1 mm, and little comes up to the belief's 'threshold', 0.05 mm, and",
+        ),
+        (
+            "powders",
             "threshold: 0.05 mm,",
             "threshold: 0.05 mm, narrowest: 5 mm,",
             "'max_opening' is 2.4 mm, and little comes up to the belief's 'threshold', 0.05 mm, and 'narrowest', 5 mm",

@@ -144,7 +144,9 @@ def test_every_controller_gives_up_on_a_source_that_gives_nothing(tmp_path: Path
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller=controller)
     assert (ran.result.exit_code, len(told(ran, "scoop"))) == (3, 2)
     assert ran.result.reason.startswith("a: scoop.nothing: 2 loads in a row from 'beads' have brought nothing")
-    assert re.search(r"\. \d+\.\d+ g should be left in it: if they stand at the sides, level them", ran.result.reason)
+    assert re.search(
+        r"\. \d+\.\d+ g should be left in it: if they stand at the sides, level them, if they bridge", ran.result.reason
+    )
 
 
 @pytest.mark.slow

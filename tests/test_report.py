@@ -15,7 +15,7 @@ from page_text import Tables
 from running import Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
-from scuhand_bt.events.cell import Scooped
+from scuhand_bt.events.cell import Returned, Scooped
 from scuhand_bt.events.weighings import DoseBegun
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, ArmMoves, Asked, JobEnded, JobStarted
 from scuhand_bt.journal.reader import open_contents
@@ -133,7 +133,8 @@ def written(path: Path) -> Path:
         action = journal.action_started(ActionStarted(path=skill, visit=1, skill=skill, inputs={}), weighs=False)
         journal.action = action
         journal.event(ArmMoves(step_s=0.5, joints_rad=((0.0,) * 7,) * 5, cone_mm=44.0))
-        if skill == "ladle":
+        if skill == "ladle":  # what was in the cone goes back before
+            journal.event(Returned(source="s", expected_mg=0.2))
             journal.event(Scooped(source="s", expected_mg=1.0, open_mm=44.0, closed_mm=24.0))
         if skill == "pour":
             journal.event(DoseBegun(gross_mg=1.0, lot="s", target_mg=1.0))

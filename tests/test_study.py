@@ -903,6 +903,7 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
     )  # fmt: skip
     shown = command("plan", setup.recipe, "--trials", 3).stdout
     assert "By 3 dry runs (intervals of 90 %): it takes " in shown
+    assert "Each dry run has a cell of its own" in shown
     assert "swap the sheet (two screws), wipe rollers and clamp (after " in shown
     one = " ".join(command("plan", setup.recipe, "--trials", 1).stdout.split())
     assert re.search(r"By 1 dry run, which tells no interval: it takes [^(]+\. ", one)

@@ -485,6 +485,25 @@ def test_a_generator_goes_on_where_it_was(name: str) -> None:
     assert again.integers(0, 9, 9, np.uint8).tolist() == rng.integers(0, 9, 9, np.uint8).tolist()
 
 
+def test_a_world_is_saved_every_second_counted_from_when_the_journal_saved_it() -> None:
+    saved_s = list[float]()
+
+    class Process:
+        def step(self, now_s: float, limit_s: float) -> float:
+            return limit_s
+
+        def save(self) -> None:
+            saved_s.append(clock.now_s)
+
+    clock = VirtualClock(Process())
+    for until_s in (0.4, 0.6):
+        clock.wait([Wake(until_s)])
+    clock.save()  # as a journal does
+    for until_s in (1.2, 1.5, 1.8, 2.4, 2.7):
+        clock.wait([Wake(until_s)])
+    assert saved_s == [0.0, 0.6, 1.8]
+
+
 # --- the file itself ---
 
 
@@ -577,7 +596,7 @@ def test_damage_is_an_older_state_or_a_clear_error(tmp_path: Path, data: st.Data
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"SQLite format 3\0" + bytes(9000), b"scuhand_bt world 3\n", b"scuhand_bt world 2\n" + bytes(9000)]
+    "content", [b"", b"SQLite format 3\0" + bytes(9000), b"scuhand_bt world 4\n", b"scuhand_bt world 3\n" + bytes(9000)]
 )
 def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.world"

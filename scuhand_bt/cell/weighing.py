@@ -4,6 +4,7 @@ import math
 import statistics
 from collections.abc import Sequence
 from contextlib import closing
+from itertools import takewhile
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake, pause
@@ -214,7 +215,8 @@ def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Ste
     """
     if abs(after.gross_mg - before.gross_mg) < CHANGED_MG:
         return None
-    curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if before.time_s <= one.time_s <= after.time_s]
+    since = takewhile(lambda one: one.time_s >= before.time_s, reversed(cell.readings.copy()))
+    curve = [(one.time_s, one.value_mg) for one in since if one.time_s <= after.time_s][::-1]
     latest_s = math.inf if cell.changer.needs_person else changed_s
     step = step_of(curve, before.gross_mg, after.gross_mg, latest_s)
     return step and step._replace(uncertainty_mg=after.uncertainty_mg)

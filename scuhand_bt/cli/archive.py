@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
+from scuhand_bt.cli.listing import Listing
 from scuhand_bt.cli.shared import (
     EXIT_ALTERED,
     JournalArgument,
@@ -43,7 +43,7 @@ def runs(
     if as_json:
         print_json([asdict(one) for one in found])
         return
-    table = Table("run", "recipe", "mode", "started", "state", "good", show_edge=False)
+    table = Listing("run", "recipe", "mode", "started", "state", "good")
     for one in found if every else found[:NEWEST]:
         good = f"{one.good}" if one.total is None else f"{one.good}/{one.total}"
         state = f"{one.state}: {one.reason}" if one.reason else one.state

@@ -5,9 +5,9 @@ from datetime import datetime
 from typing import Annotated
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
+from scuhand_bt.cli.listing import Listing
 from scuhand_bt.cli.shared import JsonFlag, LabOption, app, lab_state, out, print_json, the_lab
 
 group = typer.Typer(invoke_without_command=True)
@@ -52,7 +52,7 @@ def balance(
     if not rows:
         out.print("Nothing is known yet: `scuhand-bt run recipes/start_of_day.yaml` and doses measure the balance.")
         return
-    table = Table("balance", "what", "", "says", "at", show_edge=False)
+    table = Listing("balance", "what", "figure", "says", "at")
     for name, figure, value, says, at in rows:
         words, unit = WORDS.get(figure, (figure, ""))  # which another version has measured
         table.add_row(Text(name), words, Text(_told(value, unit)), Text(says), at)

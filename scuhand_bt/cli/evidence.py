@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
+from scuhand_bt.cli.listing import Listing
 from scuhand_bt.cli.shared import (
     EXIT_ALTERED,
     JournalArgument,
@@ -93,7 +93,7 @@ def ledger(
         lines = [{**one.line._asdict(), "hash": one.hash, "signature": one.signature} for one in found.kept]
         print_json({"head": found.head, "problem": problem, "lines": lines})
     else:
-        table = Table("line", "at", "run", "when", "entries", "head", "signed with", show_edge=False)
+        table = Listing("line", "at", "run", "when", "entries", "head", "signed with")
         for line in (one.line for one in found.kept[-SHOWN_LINES:]):
             cells = (line.number, line.at, line.run, line.occasion, line.entries, line.head[:16], (line.key or "")[:16])
             table.add_row(*(Text(str(cell)) for cell in cells))
@@ -131,7 +131,7 @@ def audit(
     if as_json:
         print_json([asdict(deed) for deed in deeds])
     else:
-        table = Table("at", "who", "what", "why", "entry", show_edge=False)
+        table = Listing("at", "who", "what", "why", "entry")
         for deed in deeds:
             cells = (deed.at, deed.who, deed.what, deed.why, "" if deed.entry is None else str(deed.entry))
             table.add_row(*map(Text, cells))

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
+from scuhand_bt.cli.listing import Listing
 from scuhand_bt.cli.shared import JsonFlag, LabOption, UnattendedFlag, app, err, out, print_json, the_lab, the_plan
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import Mark, Problem, SourceError
@@ -52,6 +52,8 @@ def station(
     if name is not None and not (name.strip() and name.isprintable()):
         raise typer.BadParameter("a name is of letters that can be seen", param_hint="--name")
     folder = the_lab(lab).folder
+    if operator is not None:
+        _require_unsigned(operator, lab)
 
     async def work() -> None:
         async with open_queue(database) as queue:
@@ -118,7 +120,7 @@ def queue(
     if as_json:
         print_json([{**asdict(job), "at": job.at.isoformat()} for job in found])
         return
-    table = Table("job", "recipe", "station", "status", "by", "since", "run", "", show_edge=False)
+    table = Listing("job", "recipe", "station", "status", "by", "since", "run", "")
     for job in found:
         status = f"{job.status}, to stop" if job.is_to_stop else job.status
         said = job.said
@@ -192,7 +194,7 @@ def fleet(
         offers = [one.offer.model_dump(mode="json") if one.offer is not None else None for one in found]
         print_json([{**asdict(one), "offer": offer} for one, offer in zip(found, offers, strict=True)])
         return
-    table = Table("station", "cell", "heard of", "jobs", "before it", "state", show_edge=False)
+    table = Listing("station", "cell", "heard of", "jobs", "before it", "state")
     for one in found:
         heard = "now" if one.is_there else f"{format_duration(one.silent_s)} ago"
         ahead = format_duration(one.ahead_s) if one.jobs else ""
@@ -205,6 +207,20 @@ def _cell_of(station: "KnownStation") -> str:
     if station.offer is None:
         return "of another version"
     return f"{station.offer.cell} (SIMULATED)" if station.offer.simulated else station.offer.cell
+
+
+def _require_unsigned(operator: str, lab: Path | None) -> None:
+    """BadParameter for a person in whose name no run could begin when a job comes."""
+    from scuhand_bt.api import find_state
+    from scuhand_bt.api.books import Persons, person_name
+
+    try:
+        name = person_name(operator)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--operator") from None
+    if name in Persons(find_state(lab)).names():
+        what = f"{name} signs with a PIN, which nobody can be asked for when a job comes: name somebody who has none"
+        raise typer.BadParameter(what, param_hint="--operator")
 
 
 def _require_fleet() -> None:

@@ -4,9 +4,9 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
+from scuhand_bt.cli.listing import Listing
 from scuhand_bt.cli.shared import JsonFlag, LabOption, OperatorOption, app, err, out, print_json, the_lab, unknown
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import MASS, parse
@@ -40,7 +40,7 @@ def inventory(
     if not stock:
         out.print("Nothing is known yet: a run, or `scuhand-bt inventory set`, tells the inventory.")
         return
-    table = Table("what", "powder lot", "how much", "says", show_edge=False)
+    table = Listing("what", "powder lot", "how much", "says")
     for entry in stock.values():
         table.add_row(Text(entry.place), Text(entry.lot_key or "–"), entry.in_words, Text(entry.origin))
     out.print(table)

@@ -89,7 +89,10 @@ def plan(
         hours = None  # what ended first was quick, and a night would seem to hold more than it does
     odds = _odds(made, ended) if ended else None
     if odds is not None:
+        from scuhand_bt.study import CELLS
+
         tell_odds(odds)
+        out.print(CELLS, soft_wrap=True)
     for doubt in doubts:
         out.print(Text(line_of(doubt)), soft_wrap=True)
     rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."

@@ -7,9 +7,9 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Column, Table
 from rich.text import Text
 
+from scuhand_bt.cli.listing import Listing
 from scuhand_bt.cli.shared import JsonFlag, LabOption, app, lab_state, out, print_json, the_lab, unknown
 
 if TYPE_CHECKING:
@@ -51,14 +51,14 @@ def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = F
         brought = [{"lot": lot, "mortar": mortar, "share": one.share, **_taught(one)} for (lot, mortar), one in scoops]
         print_json({"beliefs": beliefs, "scoops": brought})
         return
-    table = Table(Column("powder lot", overflow="fold"), *FIGURES, "by", show_edge=False)
+    table = Listing("powder lot", *FIGURES, "by")
     for name, powder in loaded.library.powders.items():
         table.add_row(Text(name), *_belief_cells(powder.belief), "first guess", style="dim")
     for name, one in learnt:
         table.add_row(Text(name), *_belief_cells(one.belief), "SIMULATED" if one.simulated else "doses")
     out.print(table)
     if learnt:
-        origins = Table(Column("powder lot", overflow="fold"), "learnt", "at", show_edge=False)
+        origins = Listing("powder lot", "learnt", "at")
         for name, one in learnt:
             origins.add_row(Text(name), Text(one.origin), one.at)
         out.print("", origins, sep="\n")
@@ -66,11 +66,11 @@ def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = F
         out.print("", _scoops(scoops), sep="\n")
 
 
-def _scoops(scoops: "Sequence[tuple[tuple[str, str], LearntYield]]") -> Table:
+def _scoops(scoops: "Sequence[tuple[tuple[str, str], LearntYield]]") -> Listing:
     """What scoops bring of what is expected of them."""
     from scuhand_bt.api.books import YIELD_BELIEVED_FOR
 
-    table = Table("scoops of", "in", "bring of what is expected", "learnt", "at", show_edge=False)
+    table = Listing("scoops of", "in", "bring of what is expected", "learnt", "at")
     now = datetime.now().astimezone()
     for (lot, mortar), learnt in scoops:
         is_old = learnt.is_older_than(YIELD_BELIEVED_FOR, now)

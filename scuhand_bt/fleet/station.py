@@ -89,6 +89,8 @@ class Station:
         self._idle, self._said = 0, ""
         self._waits = ""
         """For what the next station here will have to, too."""
+        self._wrong = ""
+        """In the lab, when it was read last: what that breaks is offered to nobody."""
 
     def leave(self) -> None:
         """Take no more jobs, and end when the run that goes on has ended."""
@@ -152,6 +154,7 @@ class Station:
 
     async def _enrol(self, lab: Lab) -> None:
         """Say what the cell has now."""
+        self._wrong = f"; wrong in its lab: {lab.problems[0]}" if lab.problems else ""
         manner = self._manner
         offer = offer_of(lab, simulated=manner.simulated, unattended=manner.unattended)
         if not await self._queue.enrol(self.name, _identity(self._orders / "identity"), offer):
@@ -199,7 +202,7 @@ class Station:
             self._idle = 0
             return True
         self._idle += 1
-        await self._note("waits for a job")
+        await self._note(f"waits for a job{self._wrong}")
         if self._idle % IDLE_LOOKS != 0:
             return False
         try:

@@ -153,7 +153,7 @@ def apex(q: ArrayLike, mount: Mount) -> ApexPose:
     """The apex pose of a configuration q [rad], shape (7,), seam included: a few microseconds of plain floats."""
     if mount.arm is not None:
         return mount.arm.apex(np.asarray(q, dtype=float), mount)
-    q1, q2, q3, q4, q5, q6, q7 = map(float, np.asarray(q, dtype=float).tolist())
+    q1, q2, q3, q4, q5, q6, q7 = np.asarray(q, dtype=float).tolist()
     c1, s1, c3, s3, c5, s5 = math.cos(q1), math.sin(q1), math.cos(q3), math.sin(q3), math.cos(q5), math.sin(q5)
     c2, s2, c4, s4, c6, s6 = math.cos(q2), math.sin(q2), math.cos(q4), math.sin(q4), math.cos(q6), math.sin(q6)
     # From the hand back to the base: h and u in the elbow's frame, then the shoulder's, then the base's.

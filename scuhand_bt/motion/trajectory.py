@@ -51,10 +51,9 @@ class JointTrajectory:
         """Joint positions [rad] at one time, shape (n,); clamped to the ends."""
         time_s = min(max(time_s, 0.0), self._knots[-1])
         k = min(bisect.bisect_right(self._knots, time_s), len(self._knots) - 1) - 1
-        c0, c1, c2, c3 = self.coefficients[:, k]
-        u = time_s - self._knots[k]
-        position: Floats = ((c3 * u + c2) * u + c1) * u + c0
-        return position
+        u, cubics = time_s - self._knots[k], self.coefficients[:, k].T.tolist()
+        # Of a few joints plain floats are quicker than arrays.
+        return np.array([((c3 * u + c2) * u + c1) * u + c0 for c0, c1, c2, c3 in cubics])
 
     def at(self, times_s: Floats, derivative: int = 0) -> Floats:
         """Positions or their 1st, 2nd or 3rd derivative at many times within the motion: shape (m, n)."""

@@ -22,7 +22,7 @@ from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
-from scuhand_bt.study.odds import COVERED, RECKONED, Odds, Range
+from scuhand_bt.study.odds import CELLS, COVERED, RECKONED, Odds, Range
 
 NEVER = "in no dry run"
 
@@ -41,6 +41,7 @@ def preview_page(
         recipe=recipe.name,
         trials=odds.trials,
         tells_intervals=odds.tells_intervals,
+        cells=CELLS,
         covered=f"{COVERED:.0%}",
         figures=[
             ("time", _range(odds.duration_s, format_duration)),

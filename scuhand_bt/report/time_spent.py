@@ -31,8 +31,8 @@ from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed
 Activity = Literal[
     "other",
     "moving",
-    "scooping",
     "emptying the cone",
+    "scooping",
     "changing containers",
     "changing the sheet",
     "settling and weighing",
@@ -42,8 +42,8 @@ Activity = Literal[
 ]
 ACTIVITIES: tuple[Activity, ...] = get_args(Activity)
 _TOLD_BY: Mapping[Activity, tuple[type[SkillEvent], ...]] = {
-    "scooping": (Scooped,),
     "emptying the cone": (Returned, Discarded),
+    "scooping": (Scooped,),
     "changing containers": (ContainerPlaced, ContainerAgain, ContainerLifted, BracketClosed),
     "changing the sheet": (SheetSwapped, ValveChecked),
     "settling and weighing": (Tared, DoseBegun, DoseWeighed, Reweighed, WeightChecked, BalanceWatched),

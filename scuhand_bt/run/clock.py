@@ -29,8 +29,8 @@ class VirtualClock:
     """Time of a dry run. It passes as fast as the simulated world can be computed.
 
     With `speed`, it also sleeps, so that virtual time goes at most `speed` times as fast as wall time; where
-    `is_waited_in`, as fast as that at the most. `beat` is called all through each wait. The process is saved every
-    `SAVED_EVERY_S`.
+    `is_waited_in`, as fast as that at the most. `beat` is called all through each wait. The process is saved once it
+    has not been for `SAVED_EVERY_S`.
     """
 
     def __init__(
@@ -57,6 +57,12 @@ class VirtualClock:
         self.now_s = self._save_at_s = now_s
         self._pace_from_here()
 
+    def save(self) -> None:
+        """Let the process keep what it is now."""
+        if self.process is not None:
+            self.process.save()
+        self._save_at_s = self.now_s + SAVED_EVERY_S
+
     def wait(self, wakes: Sequence[Wake]) -> None:
         """Go on to the earliest of `wakes`, letting the process take its steps on the way.
 
@@ -71,9 +77,8 @@ class VirtualClock:
         process, beat = self.process, self._beat
         if math.isinf(limit_s) and (process is None or not signals):
             raise RuntimeError("a wait without end: no time given, and nothing that could fire")
-        if process is not None and self.now_s >= self._save_at_s:
-            process.save()
-            self._save_at_s = self.now_s + SAVED_EVERY_S
+        if self.now_s >= self._save_at_s:
+            self.save()
         beat()
         while self.now_s < limit_s and not _has_fired(signals):
             self.now_s = limit_s if process is None else process.step(self.now_s, limit_s)

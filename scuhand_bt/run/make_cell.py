@@ -181,7 +181,7 @@ def _dry_run(
         clock.go_on_from(world.restore(world_path, tell))
     elif world_path is not None:
         world.keep_in(world_path, tell)
-    journal.before_commit = world.save
+    journal.before_commit = clock.save
     return Setup(cell, world, world, world.close, liveness)
 
 

@@ -119,7 +119,7 @@ class HeightField:
         self._on_sheet = np.zeros_like(self._wall)
         self._lost_mm = 0.0  # over the edge, since it was last told
         self._cone: ConeOver | None = None
-        self._pairs = tuple(_pairs(len(line)))
+        self._ways = tuple(_ways(len(line)))
         self._written: str | None = None
 
     @property
@@ -326,13 +326,16 @@ class HeightField:
         over = self._cone.over if self._cone is not None else None
         film = self._film_mm if over is None else np.where(over, 0.0, self._film_mm)
         top -= (kept := np.minimum(top, film))
-        floor = floor + kept
-        surface = floor + top
+        surface = floor + kept + top
         slope = np.where(top > GRAINS_THICK * self._grain_mm, self._steep, self._slick)
+        # All columns in one row, and views of that: a sweep is all of the cost, and takes twice as long on a field.
+        heights, thick = surface.reshape(-1), top.reshape(-1)
+        limits = [self._between(ahead, apart, heights, slope.reshape(-1)) for ahead, apart, _ in self._ways]
         sets = []
-        for a, b, apart in self._pairs:  # views of both, and what is worked out in place: a sweep is all of the cost
-            limit, half = self._between(a, b, apart, surface, slope)
-            sets.append((surface[a], surface[b], top[a], top[b], limit, -limit, half, *np.empty((2, *limit.shape))))
+        for odd in (0, 1):
+            for (ahead, _, firsts), (limit, half) in zip(self._ways, limits, strict=True):
+                pairs = heights[:-ahead], heights[ahead:], thick[:-ahead], thick[ahead:]
+                sets.append((*pairs, limit, -limit, np.where(firsts[odd], half, 0.0), *np.empty((2, len(limit)))))
         for sweep in range(sweeps):
             before = top.copy() if sweep % CHECKED == 0 else None
             for surface_a, surface_b, top_a, top_b, limit, lowest, half, flow, other in sets:
@@ -360,32 +363,34 @@ class HeightField:
             self._on_sheet = np.where(over, top, self._on_sheet)
             self._on_wall = np.where(over, self._on_wall, top)
 
-    def _between(
-        self, a: "_Cells", b: "_Cells", apart_mm: float, surface: Floats, slope: Floats
-    ) -> tuple[Floats, Floats | float]:
-        """How much higher one column may be than the other, and half: of more, so much goes; 0 through the sheet."""
-        limit = np.where(surface[a] > surface[b], slope[a], slope[b]) * apart_mm
+    def _between(self, ahead: int, apart_mm: float, surface: Floats, slope: Floats) -> tuple[Floats, Floats | float]:
+        """How much higher a column may be than the one so far ahead of it, and half: of more, so much goes; 0 through
+        the sheet."""
+        here, there = slice(None, -ahead), slice(ahead, None)
+        limit = np.where(surface[here] > surface[there], slope[here], slope[there]) * apart_mm
         if self._cone is None:
             return limit, 0.5
-        over_a, over_b = self._cone.over[a], self._cone.over[b]
-        higher = np.maximum(surface[a], surface[b])
-        beside = np.where(over_a, self._cone.level_mm[b], self._cone.level_mm[a])
+        over, level_mm = self._cone.over.reshape(-1), self._cone.level_mm.reshape(-1)
+        higher = np.maximum(surface[here], surface[there])
+        beside = np.where(over[here], level_mm[there], level_mm[here])
         pose = self._cone.pose
         before_mouth = beside + pose.axis[2] * higher >= pose.height_mm
-        return limit, np.where((over_a == over_b) | before_mouth, 0.5, 0.0)
+        return limit, np.where((over[here] == over[there]) | before_mouth, 0.5, 0.0)
 
 
-_Cells = tuple[slice, slice]
-_Pair = tuple[_Cells, _Cells, float]
+_Way = tuple[int, float, tuple[Mask, Mask]]
 
 
-def _pairs(n: int) -> Iterator[_Pair]:
-    """Every two neighbours, in eight sets in which no column is twice, and how far they are apart."""
-    everything, ahead, behind = slice(None), slice(None, -1), slice(1, None)
-    for odd in (0, 1):
-        count = (n - odd) // 2
-        first, second = slice(odd, odd + 2 * count, 2), slice(odd + 1, odd + 1 + 2 * count, 2)
-        yield (first, everything), (second, everything), CELL_MM
-        yield (everything, first), (everything, second), CELL_MM
-        yield (first, ahead), (second, behind), math.sqrt(2) * CELL_MM
-        yield (first, behind), (second, ahead), math.sqrt(2) * CELL_MM
+def _ways(n: int) -> Iterator[_Way]:
+    """To a column's neighbours: how far ahead one is in the row of all columns, how far apart they are, and from which
+    columns on: two sets of these, so that of their pairs no column is in two."""
+    i, j = np.indices((n, n))
+    below, beside = i < n - 1, j < n - 1
+    for ahead, along, possible, apart_mm in (
+        (n, i, below, CELL_MM),
+        (1, j, beside, CELL_MM),
+        (n + 1, i, below & beside, math.sqrt(2) * CELL_MM),
+        (n - 1, i, below & (j > 0), math.sqrt(2) * CELL_MM),
+    ):
+        even, odd = ((possible & (along % 2 == first)).reshape(-1)[:-ahead] for first in (0, 1))
+        yield ahead, apart_mm, (even, odd)

@@ -55,12 +55,15 @@ class ConePose:
 
     def outline_mm(self, points: int = 24) -> Floats:
         """(points + 1, 3): its rim, and its apex."""
-        other = (1.0, 0.0, 0.0) if abs(self.axis[0]) < 0.7 else (0.0, 1.0, 0.0)
-        aside = np.array(cross(self.axis, other))
-        aside /= math.sqrt(float(aside @ aside))
-        ring = _circle(points) @ np.stack([aside, cross(self.axis, aside)])
-        rim = self.apex_mm + self.height_mm * self.axis + self.rim_mm / 2 * ring
-        return np.vstack([rim, self.apex_mm])
+        axis = self.axis.tolist()
+        aside = cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.7 else (0.0, 1.0, 0.0))
+        size = math.hypot(*aside)
+        aside = (aside[0] / size, aside[1] / size, aside[2] / size)
+        outline = np.empty((points + 1, 3))
+        outline[:-1] = self.rim_mm / 2 * (_circle(points) @ np.array([aside, cross(axis, aside)]))
+        outline[:-1] += self.apex_mm + self.height_mm * self.axis
+        outline[-1] = self.apex_mm
+        return outline
 
     @property
     def lip_mm(self) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.random import Generator
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.sim.cone_over import ConePose, Floats
+from scuhand_bt.sim.cone_over import ConePose
 from scuhand_bt.sim.mass_ledger import CONE, SHEET, SPILLED, MassLedger, in_source
 from scuhand_bt.sim.plain_state import Misplaced, Plain
 from scuhand_bt.sim.plant import Bed, Plant
@@ -109,10 +109,11 @@ class Mortars:
 
     def _around(self, pose: ConePose) -> str | None:
         """The source whose mortar some point of the cone is in: over its bore, below its edge."""
+        x_mm, y_mm, _ = pose.apex_mm.tolist()
         for name, bottom_mm in self._bottoms.items():
-            mortar = self._sources[name].mortar
-            aside_mm = math.dist(pose.apex_mm[:2], bottom_mm[:2])
-            if aside_mm > mortar.bore_mm / 2 + self._slant_mm or pose.lowest_mm >= bottom_mm[2] + mortar.depth_mm:
+            mortar, (middle_x_mm, middle_y_mm, bottom_z_mm) = self._sources[name].mortar, bottom_mm
+            aside_mm = math.hypot(x_mm - middle_x_mm, y_mm - middle_y_mm)
+            if aside_mm > mortar.bore_mm / 2 + self._slant_mm or pose.lowest_mm >= bottom_z_mm + mortar.depth_mm:
                 continue
             points = pose.outline_mm() - bottom_mm
             is_in = (points[:, 2] < mortar.depth_mm) & (np.hypot(points[:, 0], points[:, 1]) < mortar.bore_mm / 2)
@@ -121,7 +122,7 @@ class Mortars:
         return None
 
 
-def _bottom_mm(spec: CellSpec, source: Source) -> Floats:
+def _bottom_mm(spec: CellSpec, source: Source) -> tuple[float, float, float]:
     """The bowl's lowest point, in the base's frame."""
     x_mm, y_mm, z_mm = spec.stations[source.station].position_mm
-    return np.array([x_mm, y_mm, z_mm + source.mortar.height_mm - source.mortar.depth_mm])
+    return x_mm, y_mm, z_mm + source.mortar.height_mm - source.mortar.depth_mm

@@ -114,7 +114,12 @@ def _read_dict(content: Plain, onto: Any) -> dict[Any, Any]:
 
 
 def _read_generator(content: Plain, onto: Any) -> Generator:
-    state = content if content.keys() != {"dict"} else read(content)  # of other bit generators, which hold arrays
+    state = read(content)
+    if isinstance(state, list):
+        name, *numbers = state
+        at, step, has_uint32, uinteger = (int(number, 16) for number in numbers)
+        state = {"bit_generator": name, "state": {"state": at, "inc": step}}
+        state |= {"has_uint32": has_uint32, "uinteger": uinteger}
     made = getattr(np.random, state["bit_generator"])
     if not (isinstance(made, type) and issubclass(made, BitGenerator)):
         raise ValueError(f"{made!r} draws no numbers")
@@ -128,8 +133,12 @@ def _reading(value_mg: float, stable: bool, time_s: float, unit: str, raw: str) 
 
 
 def _written_generator(generator: Generator) -> Plain:
+    """Of our own bit generator, its numbers in hexadecimal: two have 128 bits, which take JSON long to write."""
     state = generator.bit_generator.state
-    return {"generator": state if state["bit_generator"] == "PCG64" else written(state)}
+    if state["bit_generator"] != "PCG64":
+        return {"generator": written(state)}
+    numbers = *state["state"].values(), state["has_uint32"], state["uinteger"]
+    return {"generator": ["PCG64", *map(hex, numbers)]}
 
 
 def _plain_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

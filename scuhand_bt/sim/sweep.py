@@ -21,20 +21,24 @@ class Sweep:
 
     def meets(self, cone: ConePose) -> bool:
         """Whether a point of the cone's outline is in one."""
-        x_mm, y_mm, _ = cone.apex_mm
-        near = [
-            zone for zone in self._zones if math.dist(zone.at_mm[:2], (x_mm, y_mm)) < _reach_mm(zone) + cone.slant_mm
-        ]
+        x_mm, y_mm, _ = cone.apex_mm.tolist()
+        near = [zone for zone in self._zones if _aside_mm(zone, x_mm, y_mm) < cone.slant_mm]
         if not near:
             return False
         outline_mm = cone.outline_mm()
         return any(bool((_from_above(zone, outline_mm) & _at_height(zone, outline_mm)).any()) for zone in near)
 
 
-def _reach_mm(zone: Obstacle) -> float:
-    """Of it nothing is farther from its middle, seen from above."""
-    length_mm, width_mm, *_ = zone.box_mm or zone.cylinder_mm or (0.0, 0.0)
-    return math.hypot(length_mm, width_mm) / 2
+def _aside_mm(zone: Obstacle, x_mm: float, y_mm: float) -> float:
+    """How far a point is from it seen from above, at least; 0 or less in it."""
+    x_mm, y_mm = x_mm - zone.at_mm[0], y_mm - zone.at_mm[1]
+    if zone.box_mm is None:
+        diameter_mm, _ = zone.cylinder_mm or (0.0, 0.0)
+        return math.hypot(x_mm, y_mm) - diameter_mm / 2
+    cosine, sine = math.cos(math.radians(zone.yaw_deg)), math.sin(math.radians(zone.yaw_deg))
+    length_mm, width_mm, _ = zone.box_mm
+    along_mm, across_mm = cosine * x_mm + sine * y_mm, cosine * y_mm - sine * x_mm
+    return max(abs(along_mm) - length_mm / 2, abs(across_mm) - width_mm / 2)
 
 
 def _at_height(zone: Obstacle, points_mm: Floats) -> Mask:

@@ -22,7 +22,7 @@ from zlib import crc32
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 
-MAGIC = b"scuhand_bt world 3\n"
+MAGIC = b"scuhand_bt world 4\n"
 HEAD = struct.Struct("<19sII")
 SUM = struct.Struct("<I")
 FIELDS = struct.Struct("<QIQI")

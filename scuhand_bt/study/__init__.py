@@ -7,7 +7,7 @@ from scuhand_bt.fronts import front
 if TYPE_CHECKING:
     from scuhand_bt.study.change import files_hash, plant_hash
     from scuhand_bt.study.night import Night, fates, in_words, read_night
-    from scuhand_bt.study.odds import FEWEST, RECKONED, Chance, Odds, Range, odds_of
+    from scuhand_bt.study.odds import CELLS, FEWEST, RECKONED, Chance, Odds, Range, odds_of
     from scuhand_bt.study.optimise import diff, optimised
     from scuhand_bt.study.pool import all_trials, executor_of
     from scuhand_bt.study.stays import stays_in_words, unforeseen, unforeseen_in_words
@@ -21,7 +21,7 @@ else:
         {
             "study.change": "files_hash plant_hash",
             "study.night": "Night fates in_words read_night",
-            "study.odds": "FEWEST RECKONED Chance Odds Range odds_of",
+            "study.odds": "CELLS FEWEST RECKONED Chance Odds Range odds_of",
             "study.optimise": "diff optimised",
             "study.pool": "all_trials executor_of",
             "study.stays": "stays_in_words unforeseen unforeseen_in_words",
@@ -33,6 +33,7 @@ else:
     )
 
 __all__ = [
+    "CELLS",
     "FEWEST",
     "RECKONED",
     "TABLE_KINDS",

@@ -4,8 +4,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from py_trees.behaviour import Behaviour
-from py_trees.common import ParallelPolicy
-from py_trees.composites import Parallel, Selector, Sequence
+from py_trees.composites import Selector
 from py_trees.decorators import FailureIsSuccess, Inverter
 
 from scuhand_bt.failures import Code, SkillFailed
@@ -19,8 +18,10 @@ from scuhand_bt.tree.nodes import (
     Chosen,
     Fallback,
     ForEach,
+    InOrder,
     Repeat,
     Retry,
+    SideBySide,
     Timeout,
     WorkflowCall,
 )
@@ -125,10 +126,10 @@ class _Builder:
     def _build_branch(self, node: Branch, scope: Scope, path: str) -> Behaviour:
         children = [self.build(child, scope, f"{path}.{i}") for i, child in enumerate(node.children)]
         if node.kind == "sequence":
-            return Sequence("sequence", memory=True, children=children)
+            return InOrder(children)
         if node.kind == "fallback":
             return Fallback(children, frozenset(node.codes)) if node.codes else Selector("fallback", True, children)
-        return Parallel("parallel", ParallelPolicy.SuccessOnAll(synchronise=True), children)
+        return SideBySide(children)
 
     def _build_decorator(self, node: Decorator, scope: Scope, path: str) -> Behaviour:
         if node.kind in ("for_each", "repeat"):

@@ -1,6 +1,6 @@
 """The leaf of a job's tree: it drives a skill's generator, and shares with the other nodes what a tick needs."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, Protocol, TypeVar
 
 from py_trees.behaviour import Behaviour
@@ -181,6 +181,16 @@ class SkillLeaf(Behaviour):
         """It is being replayed, and waits to be halted as it was then."""
         replay = self._shared.replay
         return replay.is_replaying and self._recorded is not None and self._recorded.outcome == "halted"
+
+    def tick(self) -> Iterator[Behaviour]:
+        """As py_trees' own, but for its looks at what no skill can change: most of a tick is in leaves that wait."""
+        if self.status is not Status.RUNNING:
+            self.initialise()
+        status = self.update()
+        if status is not Status.RUNNING:
+            self.stop(status)
+        self.status = status
+        yield self
 
     def update(self) -> Status:
         try:

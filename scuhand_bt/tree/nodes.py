@@ -1,8 +1,8 @@
 """The py_trees nodes that a workflow is built into, beside leaves (`tree/leaf.py`) and `while` (`tree/guarded.py`).
 
-`sequence`, `fallback`, `parallel`, `invert` and `optional` are py_trees' own. Ours are those that need the
-run's clock, a failure's code or a value: `retry`, `timeout`, `repeat`, `for_each`, `if`, `switch`, a
-`fallback` after some failures only, and the call of a workflow.
+`fallback`, `invert` and `optional` are py_trees' own. Ours are those that need the run's clock, a failure's code or a
+value: `retry`, `timeout`, `repeat`, `for_each`, `if`, `switch`, a `fallback` after some failures only, and the call of
+a workflow. So are `sequence` and `parallel`, which every tick goes down: py_trees' own take twice as long.
 
 A value that cannot be worked out is a failure of the node that needs it, as any other.
 """
@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 from py_trees.behaviour import Behaviour
-from py_trees.common import Status
-from py_trees.composites import Composite, Selector
+from py_trees.common import ParallelPolicy, Status
+from py_trees.composites import Composite, Parallel, Selector
+from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
 
 from scuhand_bt.clock import Wake
@@ -38,7 +39,12 @@ class _Begun(Decorator):
         if self.status is not Status.RUNNING and not self._begins():
             yield self
             return
-        yield from super().tick()
+        yield from self.decorated.tick()
+        status = self.update()
+        if status is not Status.RUNNING:
+            self.stop(status)
+        self.status = status
+        yield self
 
     def _begins(self) -> bool:
         """False, and it has failed, where it cannot."""
@@ -228,6 +234,16 @@ class Chosen(Composite):
         yield self
 
 
+class InOrder(SequenceNode):
+    """A sequence that goes on, at the next tick, with the child that was running."""
+
+    def __init__(self, children: Sequence[Behaviour]) -> None:
+        super().__init__("sequence", memory=True, children=list(children))
+
+    def tick(self) -> Iterator[Behaviour]:
+        return _in_turn(self, lambda child: child.status is Status.SUCCESS)
+
+
 class Fallback(Selector):
     """A fallback that goes on to its next child after a failure with one of `codes`, and fails with any other."""
 
@@ -236,19 +252,49 @@ class Fallback(Selector):
         self._codes = codes
 
     def tick(self) -> Iterator[Behaviour]:
+        return _in_turn(self, lambda child: child.status is Status.FAILURE and failure_of(child).code in self._codes)
+
+
+def _in_turn(node: Composite, goes_on: Callable[[Behaviour], bool]) -> Iterator[Behaviour]:
+    """A tick of one child after another, from the one that was running, as long as each goes on to the next."""
+    if node.status is not Status.RUNNING:
+        _reset(node.children)
+        node.current_child = node.children[0]
+    begin = node.children.index(node.current_child) if node.current_child is not None else 0
+    for child in node.children[begin:]:
+        node.current_child = child
+        yield from child.tick()
+        if not goes_on(child):
+            break
+    if child.status is Status.RUNNING:
+        node.status = Status.RUNNING
+    else:
+        node.stop(child.status)
+    yield node
+
+
+class SideBySide(Parallel):
+    """A parallel that succeeds when all of its children have; what has is not ticked any more."""
+
+    def __init__(self, children: Sequence[Behaviour]) -> None:
+        super().__init__("parallel", ParallelPolicy.SuccessOnAll(synchronise=True), list(children))
+
+    def tick(self) -> Iterator[Behaviour]:
         if self.status is not Status.RUNNING:
             _reset(self.children)
-            self.current_child = self.children[0]
-        begin = self.children.index(self.current_child) if self.current_child is not None else 0
-        for child in self.children[begin:]:
-            self.current_child = child
-            yield from child.tick()
-            if child.status is not Status.FAILURE or failure_of(child).code not in self._codes:
-                break
-        if child.status is Status.RUNNING:
-            self.status = Status.RUNNING
+        for child in self.children:
+            if child.status is not Status.SUCCESS:
+                yield from child.tick()
+        statuses = [child.status for child in self.children]
+        if Status.FAILURE in statuses:
+            self.current_child = self.children[statuses.index(Status.FAILURE)]
+            self.stop(Status.FAILURE)
         else:
-            self.stop(child.status)
+            self.current_child = self.children[-1]
+            if Status.RUNNING in statuses:
+                self.status = Status.RUNNING
+            else:
+                self.stop(Status.SUCCESS)
         yield self
 
 
