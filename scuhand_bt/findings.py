@@ -303,6 +303,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "The arm stands in a zone of the cell where it parks: what else moves there waits for it for ever.",
             "The park station farther away, or a smaller zone.",
         ),
+        "pan-in-no-zone": Finding(
+            "The arm over the pan is in none of the zones that skills lease to change containers: it may be there.",
+            "A zone that holds all that moves there.",
+        ),
         "port-taken": Finding("Two devices are on one port.", "Give each its own."),
         "strained": _warning(
             "At a place the arm holds up more than half of a servo's stall torque, by the URDF's masses.",

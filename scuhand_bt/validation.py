@@ -1,13 +1,13 @@
 """Models from nodes: every error of a model becomes a located problem in a user's words."""
 
 import typing
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from scuhand_bt.problems import Problems, shorten
-from scuhand_bt.quantity import NOT_WRITTEN
+from scuhand_bt.quantity import NOT_WRITTEN, counted
 from scuhand_bt.yaml_source import Entries, Items, Node, describe, plain
 
 M = TypeVar("M", bound=BaseModel)
@@ -61,6 +61,8 @@ def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems)
     if error["type"] == "extra_forbidden":
         known = _keys_at(model, error["loc"][:-1])
         problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known, code="unknown-key")
+    elif error["type"] == "missing" and isinstance(owner, Items):
+        problems.add(mark, f"'{name}': {counted(len(owner.items), 'value')}, and more belong there", code="missing-key")
     elif error["type"] == "missing":
         problems.add(mark, f"'{name}' is missing", code="missing-key")
     else:
@@ -108,7 +110,13 @@ def _keys_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
     for step in path:
         for name, info in model.model_fields.items():
             if step in (name, info.alias):
-                nested = (info.annotation, *typing.get_args(info.annotation))
-                model = next((t for t in nested if isinstance(t, type) and issubclass(t, BaseModel)), model)
+                model = next(_models_in(info.annotation), model)
                 break
     return [info.alias or name for name, info in model.model_fields.items() if info.json_schema_extra != NOT_WRITTEN]
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in typing.get_args(annotation):
+        yield from _models_in(part)

@@ -99,6 +99,46 @@ def test_a_park_in_a_zone_is_told_where_it_is_as_no_container_would_ever_come(la
         assert problem.mark.line == line_with(lab, "park: ")
 
 
+def test_a_zone_of_the_changer_that_is_not_about_the_pan_is_told(lab: LabFolder) -> None:
+    """With a wrong sign in its place nothing kept the arm from where containers come and go, and nobody said so."""
+    cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+    assert not found(lab, "pan-in-no-zone")
+    behind = re.sub(r"(name: pan, .* at: \[)345 mm", r"\1-345 mm", cell)
+    lab.write("robot/cell.yaml", behind)
+    for _ in range(2):  # a check that passed is remembered
+        (problem,) = found(lab, "pan-in-no-zone")
+        assert "the zones that what changes containers keeps (pan)" in problem.message
+        assert problem.mark.line == line_with(lab, "name: pan")
+    lab.write("robot/cell.yaml", re.sub(r"changer: .*", "changer: {driver: operator}", behind))
+    assert not found(lab, "pan-in-no-zone"), "while a person changes containers the arm stands still"
+
+
+@pytest.mark.parametrize(
+    ("leased", "zones", "entered", "is_told"),
+    [
+        ({"changer": "pan"}, ("pan",), {"pan"}, False),
+        ({"changer": "pan", "arm": "rack"}, ("pan", "rack"), {"rack"}, True),
+        ({"changer": "pan"}, (), set[str](), False),
+        ({"arm": "rack"}, ("rack",), set[str](), False),
+    ],
+)
+def test_only_zones_that_the_cell_has_and_the_changer_keeps_have_to_be_about_the_pan(
+    leased: dict[str, str], zones: tuple[str, ...], entered: set[str], is_told: bool, lab: LabFolder
+) -> None:
+    """A lab that does one thing after the other needs no zone, and `check` then tells of none."""
+    own = lab.load()
+    skills = {name: SimpleNamespace(devices=(name,), zones=(zone,)) for name, zone in leased.items()}
+    of_lab = {**vars(own), "library": SimpleNamespace(skills=skills), "cell": own.cell.model_copy(update={"zones": []})}
+    of_lab["cell"].zones.extend(SimpleNamespace(name=name) for name in zones)
+    motion = SimpleNamespace(
+        places=["park", "balance+6mm"],
+        standing_at=lambda place: place,
+        entered=lambda at: frozenset(entered if at.startswith("balance") else ()),
+    )
+    told = ways.pan_in_no_zone(motion, SimpleNamespace(**of_lab))  # type: ignore[arg-type]
+    assert bool(list(told)) == is_told
+
+
 def test_a_pass_of_a_program_that_did_not_look_for_it_hides_nothing(
     lab: LabFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:

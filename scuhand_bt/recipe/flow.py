@@ -12,7 +12,6 @@ powder names the source of that powder.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any, get_args
 
 from scuhand_bt.events.doses import Dose
@@ -344,7 +343,6 @@ class _Follower:
                 self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
 
 
-@cache
 def _target_of(skill: type[Skill[Any]]) -> str | None:
     """What a dosing skill is asked for: its `mass`, else the only mass that it must be given."""
     parameters = parameters_of(skill).items()

@@ -1,6 +1,7 @@
 """The changer's slots: what a plan wants in them, and what a run has taken from which."""
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 from itertools import groupby
 
@@ -24,7 +25,10 @@ def changer_lines(plan: Plan, cell: CellSpec) -> Iterator[str]:
         of_kinds = [f"{len(list(group))} {kind}" for kind, group in groupby(kinds)]
         order, taken = "in the order of the jobs", "the next container, and each sample behind it the one after its own"
         behind = "the last"
-    yield f"In the changer, {order}: {listed(of_kinds, 'group')}."
+    wanted = Counter(kind if changer.kinds else "" for kind in kinds)
+    is_filled_again = any(many > changer.slots_for(kind) for kind, many in wanted.items())
+    at_first = ", as many as it holds" if is_filled_again else ""
+    yield f"In the changer, {order}{at_first}: {listed(of_kinds, 'group')}."
     if plan.recipe.redone:
         yield f"A sample that is done once more takes {taken}: put spare ones behind {behind}."
 

@@ -291,11 +291,11 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
         _warn_of_strain(strained, lab, problems)
         return
     from scuhand_bt.run.prepared_motion import prepared_motion
-    from scuhand_bt.run.ways import MortarStandsBadly
+    from scuhand_bt.run.ways import MortarStandsBadly, pan_in_no_zone
 
     try:
         motion = prepared_motion(plan, lab, for_real=True)
-        strained, in_the_way = _strained(motion), list(_parked_in_zones(motion, lab))
+        strained, in_the_way = _strained(motion), [*_parked_in_zones(motion, lab), *pan_in_no_zone(motion, lab)]
     except SourceError as error:
         problems.found += error.problems
     except MortarStandsBadly as failure:

@@ -67,7 +67,11 @@ MOST_DRAWS = 65_536
 
 Given: TypeAlias = Annotated[
     Annotated[Between, Tag("a range")] | Annotated[list[str], Field(min_length=1), Tag("a list")],
-    Discriminator(lambda given: "a list" if isinstance(given, list) else "a range"),
+    Discriminator(
+        lambda given: {list: "a list", dict: "a range"}.get(type(given)),
+        custom_error_type="no_values",
+        custom_error_message="a range, such as {from: 20 mg, to: 60 mg}, or a list of values, such as [20 mg, 60 mg]",
+    ),
 ]
 
 
@@ -76,7 +80,14 @@ class Vary(Spec):
 
     design: Literal["latin_hypercube", "sobol", "grid"] = "latin_hypercube"
     draws: Annotated[int, Field(gt=0, le=MOST_DRAWS)] = 64
-    vary: Annotated[dict[str, Given], Field(min_length=1)]
+    vary: dict[str, Given]
+
+    @field_validator("vary")
+    @classmethod
+    def _names_a_place(cls, vary: dict[str, Given]) -> dict[str, Given]:
+        if not vary:
+            raise ValueError("at least one place, such as {cell.balance.readability: [0.1 mg, 1 mg]}")
+        return vary
 
     @field_validator("draws")
     @classmethod

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 from scuhand_bt.failures import CATALOGUE, Failure
@@ -15,6 +15,9 @@ from scuhand_bt.tree.grammar import RECORD
 from scuhand_bt.tree.wires import WireType, of_field
 from scuhand_bt.tree.workflow import Call, TreeNode, Workflow, walk
 from scuhand_bt.yaml_source import Items, Node, describe, plain
+
+SKILLS_KEPT = 128
+"""Of so many it is remembered what they take: a process that loads a lab anew for each draw of a study keeps few."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ class Library:
         return {key: Parameter(declared.type, declared.default is None) for key, declared in inputs.items()}
 
 
-@cache
+@lru_cache(maxsize=SKILLS_KEPT)
 def parameters_of(skill: type[Skill[Any]]) -> Mapping[str, Parameter]:
     """What a skill takes."""
     return {
@@ -78,7 +81,7 @@ def parameters_of(skill: type[Skill[Any]]) -> Mapping[str, Parameter]:
     }
 
 
-@cache
+@lru_cache(maxsize=SKILLS_KEPT)
 def _wires_of(skill: type[Skill[Any]]) -> Mapping[str, WireType]:
     return {key: parameter.wire for key, parameter in parameters_of(skill).items()}
 
