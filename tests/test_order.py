@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from conftest import LabFolder
+from conftest import Call, LabFolder
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -61,6 +61,18 @@ def test_the_fastest_order_goes_on_with_the_sheet_that_is_in_the_hand(
     plan = make_plan(load_recipe(lab_folder.write("recipes/mixed.yaml", MIXED.replace("ORDER", order)), lab), lab)
     assert sorted(job.sample.id for job in plan.jobs if job.sample) == ["b", "bm-1", "bm-2", "m", "mb-1"]
     assert plan.swaps == swaps
+    assert plan.fewest_swaps == 0
+
+
+def test_a_plan_tells_with_which_order_the_sheet_is_swapped_less_often(lab_folder: LabFolder, command: Call) -> None:
+    lab_folder.write("trees/mix.yaml", MIX)
+
+    def planned(order: str) -> str:
+        recipe = lab_folder.write(f"recipes/{order}.yaml", MIXED.replace("ORDER", order))
+        return command("plan", recipe, "--trials", 0).stdout
+
+    assert "Sheet swaps between samples: 2 (0 with `order: fastest`)." in planned("as_written")
+    assert "Sheet swaps between samples: 0." in planned("fastest")
 
 
 @given(st.lists(st.tuples(st.sampled_from("abcd"), st.sampled_from("abcd")), max_size=6))

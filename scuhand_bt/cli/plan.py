@@ -96,7 +96,8 @@ def plan(
     for doubt in doubts:
         out.print(Text(line_of(doubt)), soft_wrap=True)
     rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
-    out.print(f"\nSheet swaps between samples: {made.swaps}.{rough}")
+    fewer = f" ({made.fewest_swaps} with `order: fastest`)" if made.fewest_swaps < made.swaps else ""
+    out.print(f"\nSheet swaps between samples: {made.swaps}{fewer}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
     for line in changer_lines(made, loaded.cell):
         out.print(Text(line), soft_wrap=True)
@@ -229,6 +230,7 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
             for job in made.jobs
         ],
         "swaps": made.swaps,
+        "fewest_swaps": made.fewest_swaps,
         "sources": [
             {
                 "name": demand.source.name,

@@ -33,6 +33,11 @@ def in_order(order: str, samples: Sequence[Sample], duration_s: Callable[[Sample
     return [sample for group in groups.values() for sample in group]
 
 
+def fewest_changes(samples: Sequence[Sample]) -> int:
+    """How often the sheet is changed between these samples in the order in which it is least often."""
+    return _changes(in_order("fastest", samples, lambda _: 0.0))
+
+
 def _with_persons_between(samples: Sequence[Sample], duration_s: Callable[[Sample], float]) -> list[Sample]:
     alone: dict[str, list[Sample]] = defaultdict(list)
     for sample in samples:

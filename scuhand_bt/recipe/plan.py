@@ -14,7 +14,7 @@ from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe.demand import Demand, demand_of, discarded_mg, needed_mg
 from scuhand_bt.recipe.flow import DOSING
 from scuhand_bt.recipe.known import is_known, known
-from scuhand_bt.recipe.order import in_order
+from scuhand_bt.recipe.order import fewest_changes, in_order
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.recipe.sources import REFILL
@@ -89,6 +89,10 @@ class Plan:
     @property
     def swaps(self) -> int:
         return sum(1 for job in self.jobs if job.workflow in (CHANGE_POWDER, CLEAR_AND_CHANGE_POWDER))
+
+    @property
+    def fewest_swaps(self) -> int:
+        return fewest_changes(self.recipe.samples)
 
     @property
     def refills(self) -> Counter[str]:
