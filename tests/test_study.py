@@ -24,10 +24,12 @@ from dose_bench import shipped_powders
 import scuhand_bt
 from scuhand_bt.cli.study import tell_odds
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.lab import load_lab
+from scuhand_bt.lab import Lab, load_lab
+from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.study.change import changed, files_hash, plant_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
@@ -814,6 +816,29 @@ def test_the_command_tries_the_physics_that_it_is_told(command: Call, setup: Set
     """A yield of nothing, where the simulation's own fills all."""
     shown = command("study", setup.recipe, "--trials", 1, "--workers", 1, "--plant", "test_own_plant:Nothing").stdout
     assert "scoop.nothing" in shown
+
+
+def test_draws_of_a_recipe_share_its_lab_and_its_motions_and_have_the_figures_of_one_alone(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup.recipe.write_text(RECIPE.partition("  - {id: b")[0], encoding="utf-8")
+    setup = replace(setup, files=files_hash(setup.recipe, setup.lab))
+    prepared = []
+
+    def prepare(plan: Plan, lab: Lab) -> MotionPlanner:
+        prepared.append(plan)
+        return prepared_motion(plan, lab)
+
+    monkeypatch.setattr("scuhand_bt.study.dry_run.prepared_motion", prepare)
+    of_recipe = [replace(setup, changes=(("recipe.samples.0.mass", mass),)) for mass in ("20 mg", "30 mg", "40 mg")]
+    found = [trial(one, 1) for one in of_recipe]
+    assert len(prepared) == 1
+    assert [one.samples[0].target_mg for one in found] == [20.0, 30.0, 40.0]
+    trial(replace(setup, changes=((FLOW, "75"),)), 1)
+    trial(replace(setup, changes=(("recipe.sources.beads.station", "mortar_bay_2"),)), 1)
+    assert len(prepared) == 3, "another lab, and another place of the mortar"
+    assert trial(replace(of_recipe[0], files=""), 1) == found[0]
+    assert len(prepared) == 4, "which files they are nobody has told"
 
 
 def test_three_trials_have_lumps_of_three_kinds() -> None:

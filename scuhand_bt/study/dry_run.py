@@ -6,6 +6,7 @@ kept: the lab, the plan, its motions.
 
 import tempfile
 from collections import Counter, defaultdict
+from collections.abc import Hashable
 from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -22,7 +23,7 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
-from scuhand_bt.run.prepared_motion import prepared_motion
+from scuhand_bt.run.prepared_motion import places_of, prepared_motion
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.plant import PlantError
@@ -150,13 +151,24 @@ def _read_as(plant: str) -> str:
     return plant_hash(plant)
 
 
+@lru_cache(maxsize=1)
+def _as_written(lab: Path, files: str) -> tuple[Lab, dict[Hashable, MotionPlanner]]:
+    """A lab that has just these files, and its motions so far, by what stands where: for all draws of its recipe."""
+    return load_lab(lab), {}
+
+
 @lru_cache(maxsize=2)
 def _made(setup: Setup) -> tuple[Plan, Lab, MotionPlanner]:
     with changed(setup.recipe, setup.lab, setup.changes) as (recipe, folder):
-        lab = load_lab(folder)
+        is_as_written = all(place.startswith("recipe.") for place, _ in setup.changes)
+        lab, motions = _as_written(setup.lab, setup.files) if is_as_written and setup.files else (load_lab(folder), {})
         loaded = load_recipe(recipe, lab)
         plan = make_plan(loaded if setup.order is None else replace(loaded, order=setup.order), lab)
-        made = plan, lab, prepared_motion(plan, lab)
+        stands = frozenset((one.station, one.mortar) for one in plan.recipe.sources.values())
+        geometry = stands, frozenset(places_of(plan, lab).items())
+        if geometry not in motions:
+            motions[geometry] = prepared_motion(plan, lab)
+        made = plan, lab, motions[geometry]
     if setup.files not in ("", files_hash(setup.recipe, setup.lab)):
         problem = "it, a table of it or its lab has changed since these dry runs began; begin them again"
         raise SourceError([Problem(Mark(str(setup.recipe), 0), problem)])
