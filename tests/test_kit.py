@@ -120,11 +120,11 @@ def test_a_golden_trace_is_written_on_demand_and_another_one_is_shown_as_a_diffe
     assert code == 1
     assert (
         "-scoop_and_dispense/sequence.0/place_and_scoop/parallel.1/fallback.1/sequence.0/scoop#1"
-        "(source=beads, wanted=50.0) -> source.empty" in text
+        "(may_scoop_again=True, source=beads, wanted=50.0) -> source.empty" in text
     )
     assert (
         "+scoop_and_dispense/sequence.0/place_and_scoop/parallel.1/fallback.1/sequence.0/scoop#1"
-        "(source=beads, wanted=50.0) -> device.lost" in text
+        "(may_scoop_again=True, source=beads, wanted=50.0) -> device.lost" in text
     )
 
 
