@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
@@ -10,19 +10,16 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing.jars import COUNTED_ON_DEG, JarBed, after_dose, has_way
 from scuhand_bt.dosing.ladle import Ladle
 from scuhand_bt.lab import CELL_FILE, Lab
-from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
+from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.recipe.demand import Demand, demand_of, discarded_mg, needed_mg
-from scuhand_bt.recipe.flow import DOSING
-from scuhand_bt.recipe.known import is_known, known
+from scuhand_bt.recipe.forecast import Expected, Forecaster
 from scuhand_bt.recipe.order import fewest_changes, in_order
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.recipe.sources import REFILL
 from scuhand_bt.specs import Source
-from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.library import Library
-from scuhand_bt.tree.workflow import Branch, Call, Choice, Decorator, TreeNode, Workflow, children_of
 
 CHANGE_POWDER = "change_powder"
 """The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""
@@ -100,22 +97,6 @@ class Plan:
         return Counter(job.inputs["source"].name for job in self.jobs if job.workflow == REFILL and job.sample is None)
 
 
-@dataclass(frozen=True)
-class _Expected:
-    """A skill's forecast, and where the skill is called."""
-
-    duration_s: float
-    person: str | None
-    mark: Mark
-    descent: tuple[str, float] | None = None
-
-    def repeated(self, count: int) -> "_Expected":
-        if count == 1:
-            return self
-        person = f"{self.person} ({count} times)" if self.person else None
-        return replace(self, duration_s=self.duration_s * count, person=person)
-
-
 def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     """Order the samples, put sheet swaps between powders and refills before mortars run short, and forecast.
 
@@ -126,14 +107,23 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     problems = Problems()
     check_service_workflows(recipe, lab, problems)
     problems.raise_any()
-    forecaster = _Forecaster(lab)
-    jobs = tuple(_jobs(lab, in_order(recipe.order, recipe.samples, forecaster.duration_s)))
-    forecasts = [forecaster.of_job(job) for job in jobs]
+    forecaster = Forecaster(lab)
+
+    def forecast_of(job: Job) -> list[Expected]:
+        if job.sample is None:
+            return forecaster.of_service(job.workflow, job.inputs["source"])
+        return forecaster.of(job.workflow, job.inputs)
+
+    def duration_s(sample: Sample) -> float:
+        return sum(expected.duration_s for expected in forecaster.of(sample.workflow, sample.inputs))
+
+    jobs = tuple(_jobs(lab, in_order(recipe.order, recipe.samples, duration_s)))
+    forecasts = [forecast_of(job) for job in jobs]
     refills, refilled_mg = _refills(recipe.sources.values(), jobs, _persons(jobs, forecasts, lab), lab)
     if refills:
         forecast = {job.name: found for job, found in zip(jobs, forecasts, strict=True)}
         jobs = tuple(one for job in jobs for one in (*refills.get(job.name, ()), job))
-        forecasts = [forecast[job.name] if job.name in forecast else forecaster.of_job(job) for job in jobs]
+        forecasts = [forecast[job.name] if job.name in forecast else forecast_of(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
     demands = tuple(demand_of(recipe.samples, one, refilled_mg.get(name)) for name, one in recipe.sources.items())
     done_s = accumulate(sum(one.duration_s for one in found) for found in forecasts)
@@ -252,7 +242,7 @@ def _after_dose(jar: JarBed | None, dose_mg: float, source: Source) -> JarBed | 
     return after_dose(jar, dose_mg, COUNTED_ON_DEG, is_discarded=source.is_discarded)
 
 
-def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) -> Iterator[PersonNeeded]:
+def _persons(jobs: tuple[Job, ...], forecasts: list[list[Expected]], lab: Lab) -> Iterator[PersonNeeded]:
     """Every moment that needs a person: what skills forecast, and filling the changer again."""
     used, changer = Counter[str](), lab.cell.changer
     cell_file = Mark(str(lab.folder / CELL_FILE))
@@ -269,7 +259,7 @@ def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) 
                 yield PersonNeeded(job.name, expected.person, expected.mark)
 
 
-def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterator[PersonNeeded]:
+def _persons_after_failures(recipe: Recipe, forecaster: Forecaster) -> Iterator[PersonNeeded]:
     """What a person may be needed for if a sample fails: the recipe's `ask`, and what the lab's recovery asks."""
     for code, action in sorted(recipe.on_failure.items(), key=lambda item: item[0] == "otherwise"):
         if action == "ask":
@@ -277,7 +267,7 @@ def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterat
             what = f"to say what to do if a sample fails {how}"
             yield PersonNeeded(None, what, recipe.marks[f"on_failure.{code}"])
     for source in list(recipe.sources.values())[:1]:
-        for expected in forecaster.after_failure(source):
+        for expected in forecaster.of_service(AFTER_FAILURE, source):
             if expected.person is not None:
                 yield PersonNeeded(None, f"{expected.person}, after a failed sample", expected.mark)
 
@@ -321,81 +311,3 @@ def check_service_workflows(recipe: Recipe, lab: Lab, problems: Problems) -> Non
             problems.add(workflow.mark, f"'{name}' must have the one input 'source' (Source)", code="service-workflow")
         else:
             check_workflows(lab.library, [name], problems)
-
-
-class _Forecaster:
-    """Walks a workflow with the values that are known before the run."""
-
-    def __init__(self, lab: Lab) -> None:
-        self._lab = lab
-        self._library: Library = lab.library
-        self._services: dict[tuple[str, str], list[_Expected]] = {}
-        """Of what is done between samples, by its workflow and source."""
-        self._named: Source | None = None
-        """The source that a job has named last: of its powder the next dose is."""
-
-    def of_job(self, job: Job) -> list[_Expected]:
-        if job.sample is not None:
-            return self._of_job(job)
-        key = job.workflow, job.inputs["source"].name
-        if key not in self._services:
-            self._services[key] = self._of_job(job)
-        return self._services[key]
-
-    def _of_job(self, job: Job) -> list[_Expected]:
-        self._named = None
-        return self._of_workflow(self._library.workflows[job.workflow], dict(job.inputs))
-
-    def duration_s(self, sample: Sample) -> float:
-        return sum(expected.duration_s for expected in self.of_job(_job(sample)))
-
-    def after_failure(self, source: Source) -> list[_Expected]:
-        workflow = self._library.workflows.get(AFTER_FAILURE)
-        return self._of_workflow(workflow, {"source": source}) if workflow is not None else []
-
-    def _of_workflow(self, workflow: Workflow, inputs: dict[str, Any]) -> list[_Expected]:
-        return self._of(workflow.tree, Scope(bound_inputs(workflow, inputs, self._library)))
-
-    def _of(self, node: TreeNode, scope: Scope) -> list[_Expected]:
-        if isinstance(node, Choice) and is_known(node.argument, scope):
-            number = chosen_case(node, scope, self._library)
-            return [] if number is None else self._of(node.cases[number].child, scope)
-        if isinstance(node, Branch | Choice):
-            found = [self._of(child, scope) for child in children_of(node)]
-            if node.kind == "sequence":
-                return [expected for child in found for expected in child]
-            # Nothing fails: of a fallback that is the first, as a look at what the cone holds, with a scoop behind it.
-            goes_on = found[:1] if node.kind == "fallback" else found
-            longest = max(goes_on, key=lambda child: sum(expected.duration_s for expected in child))
-            others = [expected for child in found if child is not longest for expected in child]
-            return [*longest, *(replace(one, duration_s=0.0) for one in others if one.person or one.descent)]
-        if isinstance(node, Decorator) and node.kind == "for_each":
-            return self._of_for_each(node, scope)
-        if isinstance(node, Decorator):
-            times = node.arguments.get("times")
-            count = 1 if times is None else int(known(node.arguments, scope, self._library).get("times", 1))
-            return [expected.repeated(count) for expected in self._of(node.child, scope)]
-        inputs = known(node.arguments, scope, self._library, node)
-        self._named = next((value for value in inputs.values() if isinstance(value, Source)), self._named)
-        if node.name in self._library.skills:
-            return [self._of_skill(node, inputs)]
-        return self._of_workflow(self._library.workflows[node.name], inputs)
-
-    def _of_for_each(self, node: Decorator, scope: Scope) -> list[_Expected]:
-        """All rounds of lists that are known; of others one."""
-        lists = known(node.arguments, scope, self._library)
-        if lists.keys() != node.arguments.keys():
-            return self._of(node.child, scope)
-        rounds = [Scope(dict(zip(lists, items, strict=True)), scope) for items in zip(*lists.values(), strict=True)]
-        return [expected for within in rounds for expected in self._of(node.child, within)]
-
-    def _of_skill(self, node: Call, inputs: dict[str, Any]) -> _Expected:
-        skill = self._library.skills[node.name]
-        if self._named is not None and DOSING.issubset(skill.devices):
-            inputs = {"source": self._named, **inputs}
-        try:
-            forecast = skill.forecast(inputs, self._lab.cell)
-            return _Expected(forecast.duration_s, forecast.person, node.mark, forecast.descent)
-        except (Exception, SystemExit) as error:  # the lab's own code
-            what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
-            raise SourceError([Problem(node.mark, shorten(what, 200), "skill-forecast")]) from error
