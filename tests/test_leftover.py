@@ -52,10 +52,11 @@ def run(
     lab: Path | None = None,
     mass: str = "300 mg",
     controller: str = "paper",
+    seed: int = 0,
 ) -> Ran:
     line = f"leftover: {leftover}" if leftover else ""
     text = RECIPE.replace("WORKFLOW", workflow).replace("LEFTOVER", line).replace("300 mg", mass)
-    return dry_run(tmp_path, text, lab=lab, controller=controller)
+    return dry_run(tmp_path, text, lab=lab, controller=controller, seed=seed)
 
 
 def events(ran: Ran, *kinds: str) -> list[tuple[str, dict[str, object]]]:
@@ -143,22 +144,22 @@ def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_
 ) -> None:
     lab = lab_with_a_jar(tmp_path)
     assert "jar" in load_lab(lab).cell.stations
-    ran = run(tmp_path, "fill_crucible", "{to: jar}", lab, "1050 mg")
-    gone = [payload for _, payload in events(ran, "discarded")]
-    assert [(one["source"], one["to"]) for one in gone] == [("beads", "jar")] * 2
-    world, believed = ran.session.world, ran.session.cell.believed
-    assert world is not None
-    assert believed.sources_mg["beads"] == pytest.approx(world.masses_mg["source:beads"], abs=1000.0)
-    masses_mg = world.masses_mg
-    told_mg = sum(cast(float, one["expected_mg"]) for one in gone)
-    scooped_mg = (
-        told_mg + masses_mg["container:a"] + masses_mg["container:b"]
-    )  # by what loads differ, what is left does
-    assert masses_mg["vessel:jar"] == pytest.approx(told_mg, abs=0.1 * scooped_mg)
-    assert masses_mg["waste"] < 1.0, "the jar's powder is not the bin's"
-    assert believed.vessels["jar"].mass_mg == pytest.approx(told_mg)
-    put_mg = masses_mg["vessel:jar"] + masses_mg["container:a"] + masses_mg["container:b"] + masses_mg["sheet"]
-    assert masses_mg["source:beads"] == pytest.approx(20_000.0 - put_mg, abs=1.0)
+    told_mg, jars_mg = [], []
+    for seed in range(3):  # one load may be a tenth more than is expected
+        ran = run(tmp_path, "fill_crucible", "{to: jar}", lab, "1050 mg", seed=seed)
+        gone = [payload for _, payload in events(ran, "discarded")]
+        assert [(one["source"], one["to"]) for one in gone] == [("beads", "jar")] * 2
+        world, believed = ran.session.world, ran.session.cell.believed
+        assert world is not None
+        masses_mg = world.masses_mg
+        assert believed.sources_mg["beads"] == pytest.approx(masses_mg["source:beads"], abs=1000.0)
+        told_mg.append(sum(cast(float, one["expected_mg"]) for one in gone))
+        jars_mg.append(masses_mg["vessel:jar"])
+        assert masses_mg["waste"] < 1.0, "the jar's powder is not the bin's"
+        assert believed.vessels["jar"].mass_mg == pytest.approx(told_mg[-1])
+        put_mg = masses_mg["vessel:jar"] + masses_mg["container:a"] + masses_mg["container:b"] + masses_mg["sheet"]
+        assert masses_mg["source:beads"] == pytest.approx(20_000.0 - put_mg, abs=1.0)
+    assert sum(jars_mg) == pytest.approx(sum(told_mg), rel=0.15)
 
 
 @pytest.mark.slow
