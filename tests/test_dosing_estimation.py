@@ -11,8 +11,8 @@ from scipy.stats import norm
 from harness.random_physics import BalanceFigures, BalanceKind, DrawnBalance
 from scuhand_bt.dosing import constraint
 from scuhand_bt.dosing.characteristic import Step, step_of
-from scuhand_bt.dosing.constraint import RISK, chance, widest_mm
-from scuhand_bt.dosing.estimation import DELAYS_S, Bank, Model, powers
+from scuhand_bt.dosing.constraint import RISK, widest_mm
+from scuhand_bt.dosing.estimation import DELAYS_S, Bank, Model
 from scuhand_bt.dosing.identification import (
     LEAST_DELAY_S,
     LEAST_DOUBT,
@@ -328,22 +328,27 @@ def test_what_has_left_in_lumps_is_less_sure_until_it_is_seen() -> None:
 def test_what_is_coming_is_as_unsure_as_the_balance_the_flow_and_the_lumps() -> None:
     bank = Bank([Model(0.6, "two poles"), Model(1.2, "delay")], np.array([3.0, 1.0]), 0.5, 0.02)
     bank.restart(10.0, 0.4, FLOW, 0.25, 0.1)
-    mean_mg, variance = bank.coming(powers(0.5, 0.2))
+    mean_mg, variance = bank.coming(0.5, 0.2)
     assert mean_mg == pytest.approx([30.0, 30.0])
     misfit, lumps = (0.02 * 20.0) ** 2, 2.0 * 0.5 * 20.0
     own = 0.4**2 + (0.25 * FLOW * 0.5) ** 2 + (0.1 * FLOW * 0.2) ** 2 + misfit + lumps
     assert variance == pytest.approx([own, own])
     bank.erratic = 4.0
-    assert bank.coming(powers(0.5, 0.2))[1] == pytest.approx([4.0 * own, 4.0 * own])
+    assert bank.coming(0.5, 0.2)[1] == pytest.approx([4.0 * own, 4.0 * own])
 
 
 # --- the constraint
 
 
 def test_the_chance_of_too_much_is_the_mixtures_tail() -> None:
-    bank = Bank([Model(0.6, "two poles"), Model(1.2, "delay")], np.array([3.0, 1.0]), 0.1, 0.02)
-    expected = 0.75 * norm.sf(52.0, 50.0, 1.0) + 0.25 * norm.sf(52.0, 51.0, 3.0)
-    assert chance(bank, np.array([50.0, 51.0]), np.array([1.0, 9.0]), 52.0) == pytest.approx(expected)
+    bank = Bank([Model(0.6, "two poles"), Model(1.0, "two poles")], np.array([3.0, 1.0]), 0.1, 0.02)
+    bank.restart(0.0, 1.0, FLOW, 0.05)
+    rows, _ = opening(balance("poles", 0.6), 0.6, 0.0)
+    (first_mg, last_mg), variances = seen_by(bank, rows).coming(0.2, 0.1)
+    assert last_mg - first_mg > 0.3
+    most_mg = last_mg + 2.0
+    tails = norm.sf(most_mg, (first_mg, last_mg), np.sqrt(variances))
+    assert bank.chance(0.2, 0.1, most_mg) == pytest.approx(bank.weights @ tails)
 
 
 def widest(bank: Bank, most_mg: float, known_gap_mm: float | None = None) -> float:

@@ -5,7 +5,6 @@ Pure: no device, no clock, no file.
 
 from collections.abc import Callable, Mapping
 
-from scuhand_bt.dosing.adaptive import Adaptive
 from scuhand_bt.dosing.controller import (
     Command,
     Controller,
@@ -31,14 +30,23 @@ __all__ = [
     "Stream",
     "Weigh",
     "new_controller",
+    "prepare",
 ]
 
+DEFAULT_CONTROLLER = "adaptive"
+
+
+def _adaptive(request: DoseRequest) -> Controller:
+    from scuhand_bt.dosing.adaptive import Adaptive  # what it is compiled by takes half a second to load
+
+    return Adaptive(request)
+
+
 CONTROLLERS: Mapping[str, Callable[[DoseRequest], Controller]] = {
-    Adaptive.name: Adaptive,
+    DEFAULT_CONTROLLER: _adaptive,
     Paper.name: Paper,
     DirectPid.name: DirectPid,
 }
-DEFAULT_CONTROLLER = Adaptive.name
 
 
 def new_controller(name: str, request: DoseRequest) -> Controller:
@@ -46,3 +54,8 @@ def new_controller(name: str, request: DoseRequest) -> Controller:
     if name not in CONTROLLERS:
         raise ValueError(f"no controller is called '{name}'; there are {', '.join(CONTROLLERS)}")
     return CONTROLLERS[name](request)
+
+
+def prepare() -> None:
+    """Load what is compiled, so that no dose waits for it: some seconds the first time, and then half of one."""
+    import scuhand_bt.dosing.filters  # noqa: F401

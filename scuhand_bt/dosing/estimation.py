@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scuhand_bt.dosing import filters
 from scuhand_bt.dosing.identification import LEAST_DOUBT, MASS, READING, SHAPES, Array, G, K, Row, transitions
 from scuhand_bt.specs import BalanceBelief
 
@@ -77,21 +78,13 @@ class Model(NamedTuple):
     shape: str
 
 
-def powers(phi: Array | float, slope: Array | float) -> Array:
-    """(..., 6) of phi and its slope (...), or of their integrals: what means and variances are linear in."""
-    if isinstance(phi, float) and isinstance(slope, float):
-        return np.array((1.0, phi, slope, phi * phi, phi * slope, slope * slope))
-    one = np.ones_like(np.asarray(phi, float))
-    return np.stack((one, phi, slope, np.square(phi), np.multiply(phi, slope), np.square(slope)), axis=-1)
-
-
 class _Step(NamedTuple):
     """What a time does to each of H models."""
 
-    over: Array
-    """(H, 5, 5) of `transitions`, with what k and g add by what was seen last."""
+    still: Array
+    """(H, 5, 5) of `transitions`."""
     adds: Array
-    """(H, 3, 1) of `transitions`: to all but k and g themselves."""
+    """(H, 5) of `transitions`."""
     lags: NDArray[np.intp]
     """(H,) by how many readings models run behind."""
 
@@ -146,148 +139,93 @@ class Bank:
         many = len(self.weights)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
         self._phi = np.zeros(many)  # of what each saw last
-        self._unseen = np.zeros((2, many))  # integrals of phi and of its slope
-        self._means, self._changing = [0.0, 0.0], 0.0
-        self._passed = np.zeros((2, 1))  # both integrals, until each reading
+        self._unseen = np.zeros((many, 2))  # integrals of phi and of its slope
+        self._means = [0.0, 0.0]
+        self._passed = np.zeros((1, 2))  # both integrals, until each reading
         self._tell()
 
     def _step(self, dt_s: float) -> _Step:
         dt_s = round(dt_s, 3)
         if dt_s not in self._step_of:
-            still, adds = transitions(self.delays_s, self.pure, self._damping, dt_s)
-            lags = np.rint(self.pure * self.delays_s / dt_s).astype(np.intp)
-            self._step_of[dt_s] = _Step(still, adds[:, :K, None], lags)
+            lags = np.rint(self.pure * self.delays_s / dt_s).astype(np.int64)
+            self._step_of[dt_s] = _Step(*transitions(self.delays_s, self.pure, self._damping, dt_s), lags)
         return self._step_of[dt_s]
 
-    def _late(self, row: Row, step: _Step) -> Array:
-        """(2, H): phi's and its slope's integrals over what each model sees now; notes what is yet to see."""
-        for mean, over_s in enumerate(CHANGE_S):
-            self._means[mean] += (row.phi_s / row.dt_s - self._means[mean]) * -math.expm1(-row.dt_s / over_s)
-        self._changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
-        now = self._passed[:, -1:] + ((row.phi_s,), (row.slope_s,))
-        passed = self._passed = np.concatenate((self._passed, now), axis=1)
-        at = passed.shape[1] - 1 - step.lags
-        seen: Array = passed.take(at, axis=1, mode="clip")
-        before: Array = passed.take(at - 1, axis=1, mode="clip")
-        self._unseen = now - seen
-        return seen - before
+    @property
+    def held(self) -> filters.Filters:
+        """As compiled functions take it."""
+        arrays = self._x, self._p, self._unseen, self.weights, self.delays_s
+        return *arrays, self.surge_mg, self.misfit, self.erratic
 
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
 
         Returns the likeliest model's innovation in standard deviations.
         """
-        dt_s = row.dt_s
-        if row.changed:
-            self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
-        step = self._step(dt_s)
-        late = self._late(row, step)
-        k, phi_s, f = self._x[:, K], late[0], step.over
-        np.multiply(step.adds, late.T[:, None, :], out=f[:, :K, K:])
-        x = np.matmul(f, self._x[:, :, None])[:, :, 0]
-        p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
-        masses, spread, shown = p[:, MASS, MASS], p[:, K, K], p[:, READING, READING]
-        masses += 1e-6
-        flow_mg = np.maximum(k, HELD_UP * reference) * phi_s
-        masses += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s
-        bridged = np.maximum(reference - k, 0.0)
-        walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
-        np.minimum(spread + walk, np.maximum(spread, (self._most_sd * reference) ** 2), out=spread)
-        before, self._phi = self._phi, phi_s / dt_s
-        changed = (UNSTEADY_S * k * (self._phi - before)) ** 2
-        noise = row.noise_mg**2
-        unexplained = (noise + changed) + (self.misfit * (x[:, MASS] - x[:, READING])) ** 2
-        common = shown + changed
-        variance = shown + unexplained
-        innovation_mg = row.reading_mg - x[:, READING]
-        gain = p[:, :, READING] / variance[:, None]
-        self._x = x + gain * innovation_mg[:, None]
-        np.maximum(self._x[:, K], 0.0, out=self._x[:, K])
-        self._p = p - gain[:, :, None] * p[:, None, READING, :]
-        best = int(self.weights.argmax())
-        score = float(innovation_mg[best]) / math.sqrt(variance[best])
-        if k[best] * phi_s[best] > FLOWING_MG:
-            told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
+        for mean, over_s in enumerate(CHANGE_S):
+            self._means[mean] += (row.phi_s / row.dt_s - self._means[mean]) * -math.expm1(-row.dt_s / over_s)
+        changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
+        now = np.add(self._passed[-1:], (row.phi_s, row.slope_s))
+        self._passed = np.concatenate((self._passed, now))
+        score, unexplained, k, came_mg, least = filters.take_in(
+            self.held,
+            *self._step(row.dt_s),
+            self._phi,
+            self._passed,
+            (row.dt_s, row.reading_mg, row.noise_mg, row.changed),
+            reference,
+            self._most_sd * reference,
+            self.temper * changing,
+            (K_WALK_PER_S, BRIDGES_PER_S, HELD_UP, UNEVEN, UNSTEADY_S, EXPONENT_ERROR),
+            FARTHEST,
+        )
+        if came_mg > FLOWING_MG:
             more = min(score * score, SURPRISING) - AS_EXPECTED
-            if more > 0.0 or k[best] > FREELY * reference:  # nor does a bridge say that there are none
+            if more > 0.0 or k > FREELY * reference:  # nor does a bridge say that there are none
+                told = 1.0 - unexplained  # noise alone says nothing about lumps
                 self.surge_mg *= math.exp(SURGE_GAIN * told * more)
                 self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
-        # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
-        self._weigh(innovation_mg**2 / (float(self.weights @ common) + noise))
+        if least < LEAST_LIKELY:
+            self._drop_unlikely()
         self._tell()
         return score
 
-    def _weigh(self, squares: Array) -> None:
-        """The models' weights after a reading; those that are out of the question are dropped."""
-        weights = self.weights * np.exp(-0.5 * self.temper * self._changing * np.minimum(squares, FARTHEST**2))
-        kept = weights > LEAST_LIKELY * np.maximum.reduce(weights)
-        if np.count_nonzero(kept) < len(kept):
-            weights = weights[kept]
-            self.delays_s, self.pure, self._damping = self.delays_s[kept], self.pure[kept], self._damping[kept]
-            self._step_of = {dt_s: _Step(*(part[kept] for part in step)) for dt_s, step in self._step_of.items()}
-            self._x, self._p = self._x[kept], self._p[kept]
-            self._phi, self._unseen = self._phi[kept], self._unseen[:, kept]
-        self.weights = weights / np.add.reduce(weights)
+    def _drop_unlikely(self) -> None:
+        """Models that are out of the question."""
+        kept = self.weights > LEAST_LIKELY * self.weights.max()
+        self.weights = self.weights[kept] / self.weights[kept].sum()
+        self.delays_s, self.pure, self._damping = self.delays_s[kept], self.pure[kept], self._damping[kept]
+        self._step_of = {dt_s: _Step(*(part[kept] for part in step)) for dt_s, step in self._step_of.items()}
+        self._x, self._p = self._x[kept], self._p[kept]
+        self._phi, self._unseen = self._phi[kept], self._unseen[kept]
 
     def _tell(self) -> None:
         """What is known after a reading: where each model is once it has seen what it has not yet, and all together."""
-        x, weights, (phi_s, slope_s) = self._x, self.weights, self._unseen
-        self._left_mg = x[:, MASS] + x[:, K] * phi_s + x[:, G] * slope_s
-        self._linear: tuple[Array, Array] | None = None
-        means = np.maximum(self._left_mg, x[:, MASS])
-        self.mass_mg = float(weights @ means)
-        """What has left the nozzle."""
-        self.delay_s = float(weights @ self.delays_s)
-        """The balance's mean delay."""
-        behind_mg, sd_mg = self.over_all(means - x[:, READING], 0.0)
-        self.unseen_mg = abs(behind_mg) + 2.0 * sd_mg
-        """What has left and is not read yet, with twice what that may be off by."""
-        self.coefficient, self.coefficient_sd = self.over_all(x[:, K], self._p[:, K, K])
-        """k, in mg s^-1 mm^-n, and its standard deviation."""
+        told = filters.known(self.held)
+        self.mass_mg, self.delay_s, self.unseen_mg, self.coefficient, self.coefficient_sd = told
+        """What has left the nozzle; the balance's mean delay; what has left and is not read yet, with twice what that
+        may be off by; k, in mg s^-1 mm^-n, and its standard deviation."""
 
     # --- what is known ---
 
-    def over_all(self, means: Array, variances: Array | float) -> tuple[float, float]:
+    def over_all(self, means: Array, variances: Array) -> tuple[float, float]:
         """Mean and standard deviation of what the models (H,) have these of, with what they differ by."""
-        mean = float(self.weights @ means)
-        return mean, math.sqrt(max(float(self.weights @ (variances + (means - mean) ** 2)), 0.0))
+        return filters.over_all(self.weights, means, variances)
 
     @property
     def mass_sd_mg(self) -> float:
         """The standard deviation of `mass_mg`."""
-        _, sd_mg = self.over_all(*self.coming(powers(0.0, 0.0)))
+        _, sd_mg = self.over_all(*self.coming(0.0, 0.0))
         return sd_mg
 
-    def _way(self) -> tuple[Array, Array]:
-        """(3, H) and (6, H): what means and variances are, by the terms of `powers`."""
-        if self._linear is None:
-            p, k, (phi_s, slope_s) = self._p, self._x[:, K], self._unseen
-            p_kk, p_kg, p_gg, seen_k, seen_g = p[:, K, K], p[:, K, G], p[:, G, G], p[:, MASS, K], p[:, MASS, G]
-            lumps = 2.0 * self.surge_mg * k
-            mass_k = seen_k + p_kk * phi_s + p_kg * slope_s
-            mass_g = seen_g + p_kg * phi_s + p_gg * slope_s
-            mass = p[:, MASS, MASS] + (seen_k + mass_k) * phi_s + (seen_g + mass_g) * slope_s + lumps * phi_s
-            variances = np.array((mass, 2.0 * mass_k + lumps, 2.0 * mass_g, p_kk, 2.0 * p_kg, p_gg))
-            self._linear = np.array((self._left_mg, k, self._x[:, G])), variances
-        return self._linear
+    def coming(self, phi_s: float, slope_s: float) -> tuple[Array, Array]:
+        """Mean [mg] and variance [mg^2] of the mass that will have left, by model, (H,).
 
-    def coming(self, way: Array) -> tuple[Array, Array]:
-        """Mean [mg] and variance [mg^2] of the mass that will have left, by model, (..., H).
-
-        Until then the integrals of phi and of its slope grow by what `powers` (..., 6) are of.
+        Until then the integrals of phi [mm^n s] and of its slope grow by this.
         """
-        left, variances = self._way()
-        mean, variance = way[..., :3] @ left, way @ variances
-        np.maximum(mean, self._x[:, MASS], out=mean)
-        behind = mean - self._x[:, READING]
-        behind *= self.misfit
-        variance += np.square(behind, out=behind)
-        np.maximum(variance, 0.0, out=variance)
-        variance *= self.erratic
-        return mean, variance
+        means_mg, variances = filters.coming(self.held, phi_s, slope_s)
+        return means_mg, variances
 
-    def flow(self, way: Array) -> tuple[Array, Array]:
-        """Mean [mg/s] and variance of the flow, by model, (..., H), at openings whose phi and slope `powers` are of."""
-        left, variances = self._way()
-        mean, variance = way[..., 1:3] @ left[1:], way[..., 3:] @ variances[3:]
-        return np.maximum(mean, 0.0, out=mean), np.maximum(variance, 0.0, out=variance)
+    def chance(self, phi_s: float, slope_s: float, most_mg: float) -> float:
+        """The probability that more than `most_mg` will have left then."""
+        return filters.chance(self.held, phi_s, slope_s, most_mg)

@@ -226,19 +226,10 @@ def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBeli
 
 def _shown_mg(delays_s: Array, shapes: Sequence[str] | NDArray[np.str_], dt_s: Array, came_mg: Array) -> Array:
     """(H, N) what balances (H,) show of masses (H, N) that come over times `dt_s` (N,)."""
+    from scuhand_bt.dosing import filters  # half a second, which not every command has to spend
+
     pure, damping = np.array([SHAPES[shape] for shape in shapes]).T
-    ends_s, shown_mg = np.append(0.0, np.cumsum(dt_s)), np.zeros_like(came_mg)
-    late_mg = np.array(
-        [
-            np.interp(ends_s[1:] - late_s, ends_s, np.append(0.0, came))
-            for late_s, came in zip(pure * delays_s, came_mg, strict=True)
-        ]
-    )
-    x, steps = np.zeros((len(pure), 5)), dict[float, tuple[Array, Array]]()
-    for number, step_s in enumerate(np.round(dt_s, 3).tolist()):
-        if step_s not in steps:
-            steps[step_s] = transitions(delays_s, pure, damping, step_s)
-        still, adds = steps[step_s]
-        x = np.matmul(still, x[:, :, None])[:, :, 0] + adds * (late_mg[:, number] - x[:, MASS])[:, None]
-        shown_mg[:, number] = x[:, READING]
-    return shown_mg
+    steps_s, steps = np.unique(np.round(dt_s, 3), return_inverse=True)
+    ways = [transitions(delays_s, pure, damping, step_s) for step_s in steps_s.tolist()]
+    still, adds = (np.array(each) for each in zip(*ways, strict=True))
+    return filters.shown(still, adds, steps, np.cumsum(dt_s), pure * delays_s, came_mg)

@@ -21,7 +21,6 @@ from scuhand_bt.dosing.estimation import (
     UNKNOWN_ERROR_MM,
     UNKNOWN_SPREAD,
     Bank,
-    powers,
 )
 from scuhand_bt.dosing.identification import Row, balance_by, with_found
 from scuhand_bt.dosing.noise import Noise
@@ -166,7 +165,7 @@ class Knowledge:
 
     def predicted(self) -> tuple[float, float]:
         """Mean and standard deviation [mg] of what will have left once the valve is shut, if it is told to now."""
-        means, variances = self.bank.coming(powers(*self.valve.closing(0.0)))
+        means, variances = self.bank.coming(*self.valve.closing(0.0))
         return self.bank.over_all(means, variances / self.bank.erratic)
 
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:

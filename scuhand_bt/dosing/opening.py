@@ -9,10 +9,7 @@
 import math
 from typing import Literal
 
-import numpy as np
-
-from scuhand_bt.dosing.constraint import RISK, chance
-from scuhand_bt.dosing.estimation import powers
+from scuhand_bt.dosing.constraint import RISK
 from scuhand_bt.dosing.knowledge import NEAR_MG, RISEN, SURE, Knowledge
 from scuhand_bt.dosing.unseen import begins_mm, hold_s, seen_s, sees_s
 
@@ -98,14 +95,13 @@ class Opening:
     def _enough(self) -> Seen | None:
         """By what is predicted, if it is shut now, and by the next reading."""
         known, bank, period_s = self._known, self._known.bank, self._known.request.balance_period_s
-        soon, later = (powers(*known.valve.closing(wait_s)) for wait_s in (period_s / 2.0, period_s))
-        means, variances = bank.coming(np.array((soon, later)))
-        shut_mg = float(bank.weights @ means[0])
+        means_mg, _ = bank.coming(*known.valve.closing(period_s / 2.0))
+        shut_mg = float(bank.weights @ means_mg)
         if shut_mg >= known.aim_mg:
             return "reached"
         if known.hurries and shut_mg >= known.aim_mg - NEAR_MG:
             return "near"
-        if not self._lump_mg and chance(bank, means[1], variances[1], self._most_mg) > RISK:
+        if not self._lump_mg and bank.chance(*known.valve.closing(period_s), self._most_mg) > RISK:
             return "fear"
         return None
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from scuhand_bt.dosing.constraint import RISK, chance
-from scuhand_bt.dosing.estimation import EXPONENT_ERROR, UNKNOWN_ERROR_MM, powers
+from scuhand_bt.dosing.constraint import RISK
+from scuhand_bt.dosing.estimation import EXPONENT_ERROR, UNKNOWN_ERROR_MM
 from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, Knowledge
 
 STUCK_MM = 0.3
@@ -78,8 +78,8 @@ def hold_s(known: Knowledge, opening_mm: float, most_mg: float) -> float:
     if period_s <= LEAST_HOLD_S:
         return known.until_next_s
     holds_s = np.geomspace(LEAST_HOLD_S, period_s, HOLDS)
-    way = np.array([powers(*valve.passing(known.shape, opening_mm, each_s)) for each_s in holds_s.tolist()])
-    is_allowed = chance(bank, *bank.coming(way), most_mg) <= RISK
+    ways = [valve.passing(known.shape, opening_mm, each_s) for each_s in holds_s.tolist()]
+    is_allowed = np.array([bank.chance(*way, most_mg) <= RISK for way in ways])
     if valve.opening_mm == 0.0:
         stuck, room = replace(known.shape, threshold_mm=known.shape.threshold_mm - STUCK_MM), most_mg - bank.mass_mg
         passed = np.array([valve.passing(stuck, opening_mm, each_s)[0] for each_s in holds_s.tolist()])

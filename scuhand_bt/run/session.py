@@ -10,6 +10,7 @@ from datetime import datetime
 from pathlib import Path
 
 import scuhand_bt
+from scuhand_bt import dosing
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Reading, is_twin
 from scuhand_bt.exit_codes import ExitCode
@@ -81,6 +82,7 @@ class Session:
         substitutes: Substitutes | None = None,
     ) -> None:
         check_controller(options.controller)
+        dosing.prepare()
         if options.unattended:
             check_unattended(plan)
         self.plan = plan

@@ -1,0 +1,247 @@
+"""The arithmetic of the bank of filters and of the constraint, compiled: for each of H models, many times a second.
+
+What it means is told in `estimation` and `constraint`, whose constants are handed in: a compiled function would keep
+those that it was compiled with. It is compiled when this module is imported (`scuhand_bt.dosing.prepare`), which takes
+some seconds the first time and is kept from then on; never within a dose.
+
+    x (H, 5), p (H, 5, 5)    states (y, y', M, k, g) and their covariances
+    unseen (H, 2)            integrals of phi [mm^n s] and of its slope that a model, which runs late, has yet to see
+    weights (H,)             of the models, adding up to 1
+    delays_s (H,)            their mean delays
+    surge_mg, misfit, erratic    as the bank has them
+"""
+
+import math
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scuhand_bt.dosing.identification import MASS, RATE, READING, Array, G, K
+
+Filters = tuple[Array, Array, Array, Array, Array, float, float, float]
+"""x, p, unseen, weights, delays_s, surge_mg, misfit, erratic."""
+_FILTERS = "Tuple((f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8, f8))"
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def _compiled(signature: str) -> Callable[[F], F]:
+    def compiled(function: F) -> F:
+        try:
+            return cast(F, njit(signature, cache=True, error_model="numpy")(function))
+        except RuntimeError:  # nowhere can it be kept: neither beside this file nor where the user's caches are
+            return cast(F, njit(signature, error_model="numpy")(function))
+
+    return compiled
+
+
+@_compiled(f"UniTuple(f8, 2)({_FILTERS}, i8, f8, f8)")
+def coming_by(filters: Filters, h: int, phi_s: float, slope_s: float) -> tuple[float, float]:
+    """Mean [mg] and variance [mg^2] of the mass that will have left by model `h`, once the integrals grew by these."""
+    x, p, unseen, _, _, surge_mg, misfit, erratic = filters
+    k, mass_mg = x[h, K], x[h, MASS]
+    a, b = unseen[h, 0] + phi_s, unseen[h, 1] + slope_s
+    mean_mg = max(mass_mg + k * a + x[h, G] * b, mass_mg)
+    of_mass = p[h, MASS, MASS] + 2.0 * (a * p[h, MASS, K] + b * p[h, MASS, G])
+    of_flow = a * a * p[h, K, K] + 2.0 * a * b * p[h, K, G] + b * b * p[h, G, G]
+    of_model = (misfit * (mean_mg - x[h, READING])) ** 2
+    return mean_mg, erratic * max(of_mass + of_flow + 2.0 * surge_mg * k * a + of_model, 0.0)
+
+
+@_compiled(f"f8[:,::1]({_FILTERS}, f8, f8)")
+def coming(filters: Filters, phi_s: float, slope_s: float) -> Array:
+    """(2, H) of `coming_by`."""
+    many = len(filters[0])
+    both = np.empty((2, many))
+    for h in range(many):
+        both[0, h], both[1, h] = coming_by(filters, h, phi_s, slope_s)
+    return both
+
+
+@_compiled("f8(f8)")
+def below(deviations: float) -> float:
+    """How often what is normally distributed is less than its mean and so many standard deviations."""
+    return 0.5 * math.erfc(-deviations / math.sqrt(2.0))
+
+
+@_compiled(f"f8({_FILTERS}, f8, f8, f8)")
+def chance(filters: Filters, phi_s: float, slope_s: float, most_mg: float) -> float:
+    """The probability that more than `most_mg` will have left, once the integrals grew by these."""
+    weights, of_more = filters[3], 0.0
+    for h in range(len(weights)):
+        mean_mg, variance = coming_by(filters, h, phi_s, slope_s)
+        of_more += weights[h] * below((mean_mg - most_mg) / math.sqrt(variance))
+    return of_more
+
+
+@_compiled("UniTuple(f8, 2)(f8[:], f8[:], f8[:])")
+def over_all(weights: Array, means: Array, variances: Array) -> tuple[float, float]:
+    """Mean and standard deviation of what models have these (H,) of, with what they differ by."""
+    mean = (weights * means).sum()
+    return mean, math.sqrt(max((weights * (variances + (means - mean) ** 2)).sum(), 0.0))
+
+
+@_compiled(f"UniTuple(f8, 5)({_FILTERS})")
+def known(filters: Filters) -> tuple[float, float, float, float, float]:
+    """What has left, the mean delay, what is not read yet with twice what that may be off by; k, and its spread."""
+    x, p, _, weights, delays_s, _, _, _ = filters
+    means_mg, _ = coming(filters, 0.0, 0.0)
+    behind_mg, sd_mg = over_all(weights, means_mg - x[:, READING], np.zeros(len(weights)))
+    k, k_sd = over_all(weights, x[:, K], p[:, K, K])
+    return (weights * means_mg).sum(), (weights * delays_s).sum(), abs(behind_mg) + 2.0 * sd_mg, k, k_sd
+
+
+@_compiled(f"i8({_FILTERS}, f8[:,::1], f8, f8, f8, f8, f8, f8, f8)")
+def widest(
+    filters: Filters,
+    choices: Array,
+    aim_mg: float,
+    most_mg: float,
+    known_gap_mm: float,
+    risk: float,
+    exponent_error: float,
+    unseen_error: float,
+    walk_per_s: float,
+) -> int:
+    """Which of (N, 6) `choices` is the last of which no more than `most_mg` is let out but for this risk; else 0.
+
+    A choice is the gap [mm], phi, its slope, both integrals until it is shut, and the first of these over phi [s].
+    `walk_per_s` is k's random walk, in its own unit.
+    """
+    x, p, _, weights, delays_s, surge_mg, _, erratic = filters
+    for number in range(len(choices) - 1, 0, -1):
+        gap_mm, phi, slope, phi_s, slope_s, open_s = choices[number]
+        off = exponent_error * math.log(gap_mm / known_gap_mm)
+        walk = (walk_per_s * phi) ** 2
+        risks = 0.0
+        for h in range(len(weights)):
+            mean_mg, variance = coming_by(filters, h, phi_s, slope_s)
+            flow = max(x[h, K] * phi + x[h, G] * slope, 0.0)
+            of_flow = max(phi * phi * p[h, K, K] + 2.0 * phi * slope * p[h, K, G] + slope * slope * p[h, G, G], 0.0)
+            variance += (off * flow * open_s) ** 2
+            lasting = (off * flow) ** 2 + of_flow + (unseen_error * flow) ** 2
+            lumps_mg = 2.0 * surge_mg * flow
+            # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
+            left_s = max(aim_mg - mean_mg, 0.0) / max(flow, 1e-9)
+            deviations = np.inf
+            for unseen_s, reached_mg in ((delays_s[h], mean_mg), (left_s, max(mean_mg, aim_mg))):
+                more = ((walk * unseen_s + lasting) * unseen_s + lumps_mg) * unseen_s
+                deviations = min(deviations, (reached_mg - most_mg) / math.sqrt(variance + erratic * more))
+            risks += weights[h] * below(deviations)
+            if risks > risk:
+                break
+        if risks <= risk:
+            return number
+    return 0
+
+
+@_compiled("void(f8[::1], f8[:,::1], f8[:,::1])")
+def carry(x: Array, p: Array, f: Array) -> None:
+    """A state (5,) and its covariance (5, 5) over a transition (5, 5): f x, and f p f'."""
+    x_before, fp = x.copy(), np.zeros((5, 5))
+    for i in range(5):
+        x[i] = 0.0
+        for each in range(5):
+            x[i] += f[i, each] * x_before[each]
+            for j in range(5):
+                fp[i, j] += f[i, each] * p[each, j]
+    for i in range(5):
+        for j in range(5):
+            p[i, j] = 0.0
+            for each in range(5):
+                p[i, j] += fp[i, each] * f[j, each]
+
+
+@_compiled(
+    f"UniTuple(f8, 5)({_FILTERS}, f8[:,:,::1], f8[:,::1], i8[::1], f8[::1], f8[:,::1], "
+    "UniTuple(f8, 4), f8, f8, f8, UniTuple(f8, 6), f8)"
+)
+def take_in(
+    filters: Filters,
+    still: Array,
+    adds: Array,
+    lags: NDArray[np.intp],
+    phi: Array,
+    passed: Array,
+    row: tuple[float, float, float, float],
+    reference: float,
+    most_sd: float,
+    tells: float,
+    assumed: tuple[float, float, float, float, float, float],
+    farthest: float,
+) -> tuple[float, float, float, float, float]:
+    """Take in a reading: x, p, unseen, weights, and phi (H,) as each has seen it last, are as they are after it.
+
+    `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`, `lags` (H,) by how many readings models run behind,
+    `passed` (R, 2) both integrals until each reading. `most_sd` is of k, in its own unit, how unsure it can become;
+    `tells` how much the reading tells of the balance. `row` is its time since the last one, itself, its noise, and by
+    how much the opening was changed. Of the likeliest model: its innovation in standard deviations, the share of its
+    variance that is none of the powder's, k, and what has come since the last reading [mg]; and, as a share of the
+    greatest weight, the least.
+    """
+    x, p, unseen, weights, _, surge_mg, misfit, _ = filters
+    dt_s, reading_mg, noise_mg, changed = row
+    walk_per_s, bridges_per_s, held_up, uneven, unsteady_s, exponent_error = assumed
+    many, last = len(weights), len(passed) - 1
+    best = int(np.argmax(weights))
+    told = (0.0, 0.0, 0.0, 0.0)
+    innovations_mg, f, common = np.empty(many), np.empty((5, 5)), 0.0
+    for h in range(many):
+        at = max(last - lags[h], 0)
+        before = max(at - 1, 0)
+        phi_s, slope_s = passed[at, 0] - passed[before, 0], passed[at, 1] - passed[before, 1]
+        unseen[h, 0], unseen[h, 1] = passed[last, 0] - passed[at, 0], passed[last, 1] - passed[at, 1]
+        k = x[h, K]
+        p[h, K, K] += (exponent_error * changed * max(k, 0.0)) ** 2
+        f[:] = still[h]
+        for i in range(K):
+            f[i, K], f[i, G] = adds[h, i] * phi_s, adds[h, i] * slope_s
+        carry(x[h], p[h], f)
+        flow_mg = max(k, held_up * reference) * phi_s
+        p[h, MASS, MASS] += 1e-6 + 2.0 * surge_mg * flow_mg + (uneven * flow_mg) ** 2 / dt_s
+        if phi_s > 0.0:
+            walk = (walk_per_s * reference) ** 2 + bridges_per_s * max(reference - k, 0.0) ** 2
+            p[h, K, K] = min(p[h, K, K] + walk * dt_s, max(p[h, K, K], most_sd**2))
+        unsteady = (unsteady_s * k * (phi_s / dt_s - phi[h])) ** 2
+        phi[h] = phi_s / dt_s
+        unexplained = noise_mg**2 + unsteady + (misfit * (x[h, MASS] - x[h, READING])) ** 2
+        shown = p[h, READING, READING]
+        common += weights[h] * (shown + unsteady)
+        variance = shown + unexplained
+        innovations_mg[h] = reading_mg - x[h, READING]
+        if h == best:
+            told = (innovations_mg[h] / math.sqrt(variance), unexplained / variance, k, k * phi_s)
+        gain, shares = p[h, :, READING] / variance, p[h, READING].copy()
+        x[h] += gain * innovations_mg[h]
+        for i in range(5):
+            p[h, i] -= gain[i] * shares
+        x[h, K] = max(x[h, K], 0.0)
+    # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
+    squares = innovations_mg**2 / (common + noise_mg**2)
+    weights *= np.exp(-0.5 * tells * np.minimum(squares, farthest**2))
+    weights /= weights.sum()
+    return told[0], told[1], told[2], told[3], weights.min() / weights.max()
+
+
+@_compiled("f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[::1], f8[:,::1])")
+def shown(still: Array, adds: Array, steps: NDArray[np.intp], ends_s: Array, late_s: Array, came_mg: Array) -> Array:
+    """(H, N) what models show of masses (H, N) that came by times `ends_s` (N,), each `late_s` (H,) later.
+
+    `steps` (N,) says which of the `transitions` over S times, (S, H, 5, 5) and (S, H, 5), leads to each.
+    """
+    shown_mg = np.empty_like(came_mg)
+    from_s, from_mg = np.append(0.0, ends_s), np.zeros(len(ends_s) + 1)
+    for h in range(len(came_mg)):
+        from_mg[1:] = came_mg[h]
+        late_mg = np.interp(ends_s - late_s[h], from_s, from_mg)
+        now = np.zeros(3)  # y, y', M
+        for n, step in enumerate(steps):
+            arrives_mg = late_mg[n] - now[MASS]
+            reading = still[step, h, READING, :K] @ now + adds[step, h, READING] * arrives_mg
+            rate = still[step, h, RATE, :K] @ now + adds[step, h, RATE] * arrives_mg
+            now[:] = reading, rate, late_mg[n]
+            shown_mg[h, n] = reading
+    return shown_mg
