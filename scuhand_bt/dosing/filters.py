@@ -12,33 +12,19 @@ some seconds the first time and is kept from then on; never within a dose.
 """
 
 import math
-from collections.abc import Callable
-from typing import TypeVar, cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scuhand_bt.compiled import compiled
 from scuhand_bt.dosing.identification import MASS, RATE, READING, Array, G, K
 
 Filters = tuple[Array, Array, Array, Array, Array, float, float, float]
 """x, p, unseen, weights, delays_s, surge_mg, misfit, erratic."""
 _FILTERS = "Tuple((f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8, f8))"
 
-F = TypeVar("F", bound=Callable[..., object])
 
-
-def _compiled(signature: str) -> Callable[[F], F]:
-    def compiled(function: F) -> F:
-        try:
-            return cast(F, njit(signature, cache=True, error_model="numpy")(function))
-        except RuntimeError:  # nowhere can it be kept: neither beside this file nor where the user's caches are
-            return cast(F, njit(signature, error_model="numpy")(function))
-
-    return compiled
-
-
-@_compiled(f"UniTuple(f8, 2)({_FILTERS}, i8, f8, f8)")
+@compiled(f"UniTuple(f8, 2)({_FILTERS}, i8, f8, f8)")
 def coming_by(filters: Filters, h: int, phi_s: float, slope_s: float) -> tuple[float, float]:
     """Mean [mg] and variance [mg^2] of the mass that will have left by model `h`, once the integrals grew by these."""
     x, p, unseen, _, _, surge_mg, misfit, erratic = filters
@@ -51,7 +37,7 @@ def coming_by(filters: Filters, h: int, phi_s: float, slope_s: float) -> tuple[f
     return mean_mg, erratic * max(of_mass + of_flow + 2.0 * surge_mg * k * a + of_model, 0.0)
 
 
-@_compiled(f"f8[:,::1]({_FILTERS}, f8, f8)")
+@compiled(f"f8[:,::1]({_FILTERS}, f8, f8)")
 def coming(filters: Filters, phi_s: float, slope_s: float) -> Array:
     """(2, H) of `coming_by`."""
     many = len(filters[0])
@@ -61,13 +47,13 @@ def coming(filters: Filters, phi_s: float, slope_s: float) -> Array:
     return both
 
 
-@_compiled("f8(f8)")
+@compiled("f8(f8)")
 def below(deviations: float) -> float:
     """How often what is normally distributed is less than its mean and so many standard deviations."""
     return 0.5 * math.erfc(-deviations / math.sqrt(2.0))
 
 
-@_compiled(f"f8({_FILTERS}, f8, f8, f8)")
+@compiled(f"f8({_FILTERS}, f8, f8, f8)")
 def chance(filters: Filters, phi_s: float, slope_s: float, most_mg: float) -> float:
     """The probability that more than `most_mg` will have left, once the integrals grew by these."""
     weights, of_more = filters[3], 0.0
@@ -77,14 +63,14 @@ def chance(filters: Filters, phi_s: float, slope_s: float, most_mg: float) -> fl
     return of_more
 
 
-@_compiled("UniTuple(f8, 2)(f8[:], f8[:], f8[:])")
+@compiled("UniTuple(f8, 2)(f8[:], f8[:], f8[:])")
 def over_all(weights: Array, means: Array, variances: Array) -> tuple[float, float]:
     """Mean and standard deviation of what models have these (H,) of, with what they differ by."""
     mean = (weights * means).sum()
     return mean, math.sqrt(max((weights * (variances + (means - mean) ** 2)).sum(), 0.0))
 
 
-@_compiled(f"UniTuple(f8, 5)({_FILTERS})")
+@compiled(f"UniTuple(f8, 5)({_FILTERS})")
 def known(filters: Filters) -> tuple[float, float, float, float, float]:
     """What has left, the mean delay, what is not read yet with twice what that may be off by; k, and its spread."""
     x, p, _, weights, delays_s, _, _, _ = filters
@@ -94,7 +80,7 @@ def known(filters: Filters) -> tuple[float, float, float, float, float]:
     return (weights * means_mg).sum(), (weights * delays_s).sum(), abs(behind_mg) + 2.0 * sd_mg, k, k_sd
 
 
-@_compiled(f"i8({_FILTERS}, f8[:,::1], f8, f8, f8, f8, f8, f8, f8)")
+@compiled(f"i8({_FILTERS}, f8[:,::1], f8, f8, f8, f8, f8, f8, f8)")
 def widest(
     filters: Filters,
     choices: Array,
@@ -138,7 +124,7 @@ def widest(
     return 0
 
 
-@_compiled("void(f8[::1], f8[:,::1], f8[:,::1])")
+@compiled("void(f8[::1], f8[:,::1], f8[:,::1])")
 def carry(x: Array, p: Array, f: Array) -> None:
     """A state (5,) and its covariance (5, 5) over a transition (5, 5): f x, and f p f'."""
     x_before, fp = x.copy(), np.zeros((5, 5))
@@ -155,7 +141,7 @@ def carry(x: Array, p: Array, f: Array) -> None:
                 p[i, j] += fp[i, each] * f[j, each]
 
 
-@_compiled(
+@compiled(
     f"UniTuple(f8, 5)({_FILTERS}, f8[:,:,::1], f8[:,::1], i8[::1], f8[::1], f8[:,::1], "
     "UniTuple(f8, 4), f8, f8, f8, UniTuple(f8, 6), f8)"
 )
@@ -226,7 +212,7 @@ def take_in(
     return told[0], told[1], told[2], told[3], weights.min() / weights.max()
 
 
-@_compiled("f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[::1], f8[:,::1])")
+@compiled("f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[::1], f8[:,::1])")
 def shown(still: Array, adds: Array, steps: NDArray[np.intp], ends_s: Array, late_s: Array, came_mg: Array) -> Array:
     """(H, N) what models show of masses (H, N) that came by times `ends_s` (N,), each `late_s` (H,) later.
 

@@ -26,10 +26,11 @@ Frame: origin at the bowl's lowest point, z up, lengths in mm.
 import math
 import zlib
 from base64 import b64decode, b64encode
-from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
+from scuhand_bt.sim import avalanche
 from scuhand_bt.sim.cone_over import ConeOver, ConePose, Floats, Mask
 from scuhand_bt.specs import Mortar, Powder
 
@@ -119,7 +120,7 @@ class HeightField:
         self._on_sheet = np.zeros_like(self._wall)
         self._lost_mm = 0.0  # over the edge, since it was last told
         self._cone: ConeOver | None = None
-        self._ways = tuple(_ways(len(line)))
+        self._ways, self._nowhere = _ways(len(line)), np.zeros(radius.size, bool)
         self._written: str | None = None
 
     @property
@@ -328,31 +329,13 @@ class HeightField:
         top -= (kept := np.minimum(top, film))
         surface = floor + kept + top
         slope = np.where(top > GRAINS_THICK * self._grain_mm, self._steep, self._slick)
-        # All columns in one row, and views of that: a sweep is all of the cost, and takes twice as long on a field.
-        heights, thick = surface.reshape(-1), top.reshape(-1)
-        limits = [self._between(ahead, apart, heights, slope.reshape(-1)) for ahead, apart, _ in self._ways]
-        sets = []
-        for odd in (0, 1):
-            for (ahead, _, firsts), (limit, half) in zip(self._ways, limits, strict=True):
-                pairs = heights[:-ahead], heights[ahead:], thick[:-ahead], thick[ahead:]
-                sets.append((*pairs, limit, -limit, np.where(firsts[odd], half, 0.0), *np.empty((2, len(limit)))))
-        for sweep in range(sweeps):
-            before = top.copy() if sweep % CHECKED == 0 else None
-            for surface_a, surface_b, top_a, top_b, limit, lowest, half, flow, other in sets:
-                np.subtract(surface_a, surface_b, out=flow)
-                np.maximum(flow, lowest, out=other)
-                np.minimum(other, limit, out=other)
-                flow -= other
-                flow *= half
-                np.minimum(flow, top_a, out=flow)
-                np.negative(top_b, out=other)
-                np.maximum(flow, other, out=flow)
-                top_a -= flow
-                surface_a -= flow
-                top_b += flow
-                surface_b += flow
-            if before is not None and float(np.abs(top - before).max()) < AT_REST_MM:
-                break
+        cone = self._cone
+        if cone is None:
+            sheet = self._nowhere, np.zeros(top.size), 0.0, 0.0
+        else:
+            sheet = cone.over.reshape(-1), cone.level_mm.reshape(-1), float(cone.pose.axis[2]), cone.pose.height_mm
+        surface, slope = surface.reshape(-1), slope.reshape(-1)
+        avalanche.flow(surface, top.reshape(-1), slope, *sheet, *self._ways, sweeps, CHECKED, AT_REST_MM)
         lost = self._outside if over is None else (self._outside & ~over) | self._border
         self._lost_mm += float(top[lost].sum())
         top[lost] = 0.0
@@ -363,34 +346,13 @@ class HeightField:
             self._on_sheet = np.where(over, top, self._on_sheet)
             self._on_wall = np.where(over, self._on_wall, top)
 
-    def _between(self, ahead: int, apart_mm: float, surface: Floats, slope: Floats) -> tuple[Floats, Floats | float]:
-        """How much higher a column may be than the one so far ahead of it, and half: of more, so much goes; 0 through
-        the sheet."""
-        here, there = slice(None, -ahead), slice(ahead, None)
-        limit = np.where(surface[here] > surface[there], slope[here], slope[there]) * apart_mm
-        if self._cone is None:
-            return limit, 0.5
-        over, level_mm = self._cone.over.reshape(-1), self._cone.level_mm.reshape(-1)
-        higher = np.maximum(surface[here], surface[there])
-        beside = np.where(over[here], level_mm[there], level_mm[here])
-        pose = self._cone.pose
-        before_mouth = beside + pose.axis[2] * higher >= pose.height_mm
-        return limit, np.where((over[here] == over[there]) | before_mouth, 0.5, 0.0)
 
-
-_Way = tuple[int, float, tuple[Mask, Mask]]
-
-
-def _ways(n: int) -> Iterator[_Way]:
+def _ways(n: int) -> tuple[NDArray[np.int64], Floats, NDArray[np.bool_]]:
     """To a column's neighbours: how far ahead one is in the row of all columns, how far apart they are, and from which
     columns on: two sets of these, so that of their pairs no column is in two."""
     i, j = np.indices((n, n))
     below, beside = i < n - 1, j < n - 1
-    for ahead, along, possible, apart_mm in (
-        (n, i, below, CELL_MM),
-        (1, j, beside, CELL_MM),
-        (n + 1, i, below & beside, math.sqrt(2) * CELL_MM),
-        (n - 1, i, below & (j > 0), math.sqrt(2) * CELL_MM),
-    ):
-        even, odd = ((possible & (along % 2 == first)).reshape(-1)[:-ahead] for first in (0, 1))
-        yield ahead, apart_mm, (even, odd)
+    may = np.array([below, beside, below & beside, below & (j > 0)])
+    odd = np.array([i, j, i, i]) % 2 == 1
+    firsts = np.array([may & ~odd, may & odd]).reshape(2, len(may), n * n)
+    return np.array([n, 1, n + 1, n - 1]), CELL_MM * np.sqrt([1.0, 1.0, 2.0, 2.0]), firsts
