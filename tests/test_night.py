@@ -5,7 +5,7 @@ from dataclasses import replace
 from datetime import timedelta
 
 import pytest
-from conftest import Call, Desk, LabFolder
+from conftest import REPOSITORY, Call, Desk, LabFolder
 
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
@@ -182,6 +182,30 @@ def test_persons_come_twice_where_what_needs_them_is_close_together(
     assert said.endswith(f"({moments}).")
 
 
+def test_each_moment_of_a_job_comes_when_dry_runs_have_asked_for_it(plan: Plan) -> None:
+    """Three containers that a person puts on the pan for one sample were all told when the first one is."""
+    swap = next(person for person in plan.persons if person.job is not None)
+    job, whole = str(swap.job), trial_of(plan, 600.0)
+    of_three = replace(plan, persons=(swap, replace(swap, what="b"), replace(swap, what="c")))
+    asked = replace(whole, asked_s={job: [[610.0, 610.0], [700.0, 760.0], [3000.0, 3060.0]]})
+    more = replace(whole, asked_s={job: [[610.0, 3060.0], [620.0, 680.0], [710.0, 770.0], [2900.0, 2960.0]]})
+
+    def told(made: Plan, trials: list[Trial]) -> list[tuple[int, int, int]]:
+        found = [when for _, when in odds_of(made, trials).persons_s(made) if when is not None]
+        return [(round(when.low), round(when.middle), round(when.high)) for when in found]
+
+    each = [(562, 610, 662), (645, 700, 825), (2763, 3000, 3322)]
+    assert told(of_three, [*[asked] * 7, more]) == each
+    assert told(of_three, [asked, asked]) == [(610, 610, 610), (700, 700, 760), (3000, 3000, 3060)]
+    assert told(of_three, [whole] * 8) == [(553, 600, 651)] * 3, "nobody was asked: when the job begins"
+    unknown = (562, 610, 3322)
+    assert told(plan, [asked] * 8) == [unknown], "an action that asks unforeseen: nobody knows which is which"
+    assert told(of_three, [asked, asked, *[more] * 6]) == [unknown] * 3, "of too few"
+    (said,) = stays_in_words(of_three, odds_of(of_three, [asked] * 8), None)
+    assert said.startswith("So a person comes 2 times: from the start until 13 min 45 s after it (2 moments), and ")
+    assert said.endswith(" (1 moment).")
+
+
 def test_a_plan_that_needs_nobody_says_nothing_of_stays(desk: Desk) -> None:
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
     assert not list(stays_in_words(plan, odds_of(plan, [trial_of(plan, 600.0)] * 8), None))
@@ -216,7 +240,7 @@ def test_a_last_sample_that_stops_the_run_is_not_done(desk: Desk) -> None:
 def test_what_a_dry_run_asks_a_person_nobody_answers_at_night(desk: Desk) -> None:
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
     whole = trial_of(plan, 60.0)
-    asked = replace(whole, asked_s={"m-2": 150.0})
+    asked = replace(whole, asked_s={"m-2": [[150.0, 150.0]]})
     for many, why in ((1, None), (2, "in 2 of 20 dry runs a person was asked for something before its end")):
         odds = odds_of(plan, [*[whole] * (20 - many), *[asked] * many])
         assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, None, why, why]
@@ -225,8 +249,10 @@ def test_what_a_dry_run_asks_a_person_nobody_answers_at_night(desk: Desk) -> Non
 def test_a_plan_tells_where_dry_runs_asked_a_person_for_what_it_does_not_know_of(plan: Plan) -> None:
     change = "change powder to monosodium_glutamate for m-1"
     whole = trial_of(plan, 60.0)
-    assert [*unforeseen_in_words(plan, odds_of(plan, [replace(whole, asked_s={change: 70.0})] * 4))] == []
-    odds = odds_of(plan, [whole, whole, whole, replace(whole, asked_s={change: 70.0, "m-2": 150.0})])
+    assert [*unforeseen_in_words(plan, odds_of(plan, [replace(whole, asked_s={change: [[70.0, 70.0]]})] * 4))] == []
+    odds = odds_of(
+        plan, [whole, whole, whole, replace(whole, asked_s={change: [[70.0, 70.0]], "m-2": [[150.0, 150.0]]})]
+    )
     (said,) = unforeseen_in_words(plan, odds)
     assert said.startswith("In dry runs a person was also asked for something at m-2, which need not come: ")
 
@@ -251,7 +277,17 @@ def test_a_trial_says_when_a_person_was_asked(lab_folder: LabFolder) -> None:
     lab_folder.write("trees/fails.yaml", f"workflow: fails\ninputs: {{source: Source}}\n{tree}")
     one = trial(Setup(lab_folder.write("recipes/asking.yaml", ASKING), lab_folder.folder), 0)
     assert list(one.asked_s) == ["a"]
-    assert 5.0 <= one.asked_s["a"] < one.began_s["finish the batch"]
+    ((first_s, last_s),) = one.asked_s["a"]
+    assert 5.0 <= first_s == last_s < one.began_s["finish the batch"]
+
+
+def test_a_trial_says_from_when_until_when_each_action_of_a_job_asked_a_person(lab_folder: LabFolder) -> None:
+    """Of containers that are changed by hand each is a moment: one is taken off, the bare pan weighed, the next put."""
+    lab_folder.replace("robot/cell.yaml", "{driver: carousel, slots: 24}", "{driver: operator}")
+    path = lab_folder.write("recipes/aliquots.yaml", (REPOSITORY / "recipes/aliquots.yaml").read_text(encoding="utf-8"))
+    one = trial(Setup(path, lab_folder.folder), 0)
+    first, second, third = one.asked_s["set-1"]
+    assert first[0] == first[1] < second[0] < second[1] < third[0] < third[1] < one.began_s["finish the batch"]
 
 
 @pytest.mark.slow

@@ -257,6 +257,20 @@ def test_tables_beside_a_recipe_below_it_and_elsewhere_in_the_lab_are_tried_too(
     assert [sample.id for sample in one.samples] == ["p1", "p2", "q1", "q2", "r1", "r2"]
 
 
+@pytest.mark.parametrize("to_it", ["recipes", "trees/../recipes", "../mine/recipes"])
+def test_a_table_elsewhere_in_the_lab_is_tried_whatever_of_the_recipe_is_varied(setup: Setup, to_it: str) -> None:
+    (setup.lab / "tables").mkdir()
+    (setup.lab / "tables/one.csv").write_text(
+        "id;source;container;mass [mg]\np;beads;xrd_holder;30\n", encoding="utf-8"
+    )
+    setup.recipe.write_text(f"{RECIPE.split('  - ')[0]}  - {{table: ../tables/one.csv}}\n", encoding="utf-8")
+    lab = setup.lab.rename(setup.lab.with_name("mine"))
+    setup = replace(setup, lab=lab, recipe=lab / to_it / setup.recipe.name)
+    changes = (("recipe.sources.beads.amount", "4 g"),)
+    varied = replace(setup, files=files_hash(setup.recipe, setup.lab), changes=changes)
+    assert [sample.id for sample in trial(varied, 0).samples] == ["p"]
+
+
 @pytest.mark.slow
 def test_what_is_wrong_in_another_process_is_told_here(setup: Setup) -> None:
     wrong = replace(setup, changes=((FLOW, "-3"),)), replace(setup, plant="nowhere:Nothing")
@@ -273,8 +287,15 @@ def test_errors_are_the_same_in_another_process() -> None:
     assert (str(failed), failed.code) == ("arm.no_path: from a to b", "arm.no_path")
 
 
-def test_a_process_that_is_killed_ends_the_study_in_words() -> None:
-    with pytest.raises(SourceError, match="one of 1 processes was killed"), executor_of(1, None) as executor:
+@pytest.mark.parametrize(
+    ("many", "said"),
+    [
+        (1, "the process was killed, as for want of memory: try again"),
+        (2, "one of 2 processes was killed, as for want of memory: take fewer, and try again"),
+    ],
+)
+def test_a_process_that_is_killed_ends_the_study_in_words(many: int, said: str) -> None:
+    with pytest.raises(SourceError, match=said), executor_of(many, None) as executor:
         executor.submit(os.kill, executor.submit(os.getpid).result(), signal.SIGKILL).result()
 
 
@@ -966,6 +987,7 @@ def test_a_value_is_changed_where_it_stands_and_all_else_stays_as_written() -> N
     text = "# beads\nglass_beads: {belief: {coefficient: 50, spread: 15 %}}  # first\nlist:\n  - {a: 'x'}\n"
     assert with_value(text, "powders.glass_beads.belief.spread", "20 %") == text.replace("15 %", '"20 %"')
     assert with_value(text, "powders.list.0.a", 3.0) == text.replace("'x'", "3.0")
+    assert with_value(text, "powders.list.0.a", "- 5") == text.replace("'x'", '"- 5"'), "no list"
     with pytest.raises(SourceError, match="'spred' is not there; known: coefficient, spread"):
         with_value(text, "powders.glass_beads.belief.spred", "20 %")
 
@@ -978,10 +1000,13 @@ def test_a_value_is_changed_where_it_stands_and_all_else_stays_as_written() -> N
         ("recipe.c.k", "'c' has an anchor (&)"),
         ("recipe.d.0.k", "'0' has an anchor (&)"),
         ("recipe.e", "nothing is written there; write a value, which is then varied"),
+        ("recipe.d", "it is written in lines of their own; name a value in it, or write it in one line"),
+        ("recipe.f", "it is written in lines of their own"),
+        ("recipe.g", "it is written in lines of their own"),
     ],
 )
-def test_a_value_that_stands_elsewhere_too_is_not_changed(place: str, said: str) -> None:
-    text = "a: {mass: &m 50 mg}\nb: {mass: *m}\nc: &x {k: 1}\nd:\n  - *x\ne:\n"
+def test_a_value_that_cannot_be_changed_by_itself_is_not(place: str, said: str) -> None:
+    text = "a: {mass: &m 50 mg}\nb: {mass: *m}\nc: &x {k: 1}\nd:\n  - *x\ne:\nf:\n  k: 1\ng: |\n  1\nh: 2\n"
     with pytest.raises(SourceError) as wrong:
         with_value(text, place, "20 mg")
     assert str(wrong.value).startswith(f"{place}: {said}")

@@ -103,8 +103,7 @@ def plan(
         out.print(Text(line), soft_wrap=True)
     if all(person.job is None for person in made.persons) and not _is_asked_all_the_same(made, odds):
         out.print("After the start no person is needed.")
-    for person in made.persons:
-        when = odds.person_s(person.job or "") if odds is not None else None
+    for person, when in odds.persons_s(made) if odds is not None else ((one, None) for one in made.persons):
         first, last = (format_duration(when.low), format_duration(when.high)) if when is not None else ("", "")
         at = f" (after {first} to {last})" if first != last else f" (after {first})" if first else ""
         out.print(Text(f"A person is {person}{at}."))

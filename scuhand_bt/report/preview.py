@@ -132,9 +132,9 @@ def _powders(plan: Plan, odds: Odds) -> Iterator[list[str]]:
 def _persons(plan: Plan, odds: Odds) -> Iterator[list[str]]:
     """Every moment of the plan that needs a person, with when that is."""
     yield ["before the start", "", "the sources filled and in their places, a fresh sheet in the hand"]
-    for person in plan.persons:
+    for person, at in odds.persons_s(plan):
         if person.job is None:
             yield ["if a sample fails", "", person.what]
         else:
-            when = _when(odds.person_s(person.job))
+            when = _when(at)
             yield [when if when == NEVER else f"after {when}", person.job, person.what]

@@ -64,7 +64,8 @@ def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, P
         for name in FOLDERS:
             if (lab / name).is_dir():
                 shutil.copytree(lab / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-        beside = copy / (recipe.parent.relative_to(lab) if recipe.is_relative_to(lab) else "recipes")
+        real, of = recipe.parent.resolve(), lab.resolve()  # a path with `..` leads out of the copy
+        beside = copy / (real.relative_to(of) if real.is_relative_to(of) else "recipes")
         beside.mkdir(parents=True, exist_ok=True)
         copied = beside / recipe.name
         shutil.copy(recipe, copied)
@@ -104,10 +105,13 @@ def with_value(text: str, place: str, value: Value) -> str:
             raise _refused(
                 place, f"'{key}' has an anchor (&), and would change wherever its alias (*) is; write it out"
             )
+    is_block = node.style in ("|", ">") if isinstance(node, yaml.ScalarNode) else not node.flow_style
+    if is_block:  # it ends where the next one begins
+        raise _refused(place, "it is written in lines of their own; name a value in it, or write it in one line")
     if node.start_mark.index == node.end_mark.index:
         raise _refused(place, "nothing is written there; write a value, which is then varied")
     new = str(value)
-    if not re.fullmatch(r"[\w.+/^° -]+", new):
+    if not re.fullmatch(r"-?[\w.+/^°][\w.+/^° -]*", new):  # "- 5" would be a list
         new = json.dumps(new, ensure_ascii=False)
     return text[: node.start_mark.index] + new + text[node.end_mark.index :]
 

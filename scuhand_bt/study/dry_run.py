@@ -96,7 +96,7 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
         {name: told.scoops[name] for name in names},
         used_mg,
         {name: dict(mg) for name, mg in became_mg.items()},
-        told.asked_s,
+        dict(told.asked_s),
     )
 
 
@@ -124,7 +124,9 @@ class _Told(BatchObserver):
         self._clock = session.cell.clock
         self._job = session.plan.jobs[0].name  # what is asked before it is asked for it
         self.began_s: dict[str, float] = {}
-        self.asked_s: dict[str, float] = {}
+        self.asked_s = defaultdict[str, list[list[float]]](list)
+        self._asked_by: dict[int | None, list[float]] = {}
+        self._journal = session.journal
         self.scoops = Counter[str]()
         self.refilled_mg = defaultdict[str, float](float)
         self.left: list[Kept | Returned | Discarded] = []
@@ -136,7 +138,11 @@ class _Told(BatchObserver):
     def heard(self, event: Event | Note) -> None:
         match event:
             case Asked():
-                self.asked_s.setdefault(self._job, self._clock.now_s)
+                action, now_s = self._journal.action, self._clock.now_s
+                if action is None or action not in self._asked_by:
+                    self._asked_by[action] = [now_s, now_s]
+                    self.asked_s[self._job].append(self._asked_by[action])
+                self._asked_by[action][1] = now_s
             case Scooped():
                 self.scoops[event.source] += 1
             case Refilled():
@@ -162,7 +168,8 @@ def _made(setup: Setup) -> tuple[Plan, Lab, MotionPlanner]:
     with changed(setup.recipe, setup.lab, setup.changes) as (recipe, folder):
         is_as_written = all(place.startswith("recipe.") for place, _ in setup.changes)
         lab, motions = _as_written(setup.lab, setup.files) if is_as_written and setup.files else (load_lab(folder), {})
-        loaded = load_recipe(recipe, lab)
+        # Its tables are beside it, in the copy; else its lab is the one that all draws have.
+        loaded = load_recipe(recipe, replace(lab, folder=folder))
         plan = make_plan(loaded if setup.order is None else replace(loaded, order=setup.order), lab)
         stands = frozenset((one.station, one.mortar) for one in plan.recipe.sources.values())
         geometry = stands, frozenset(places_of(plan, lab).items())

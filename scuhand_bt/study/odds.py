@@ -8,7 +8,7 @@ times and chances against runs on plants that no trial has had.
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.stats import beta, t
 
 from scuhand_bt.dosing.verdict import LIKELY
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.recipe.plan import PersonNeeded, Plan
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.study.trial import LEFTOVERS, Trial
 
@@ -81,6 +81,9 @@ class Odds:
     """When each job begins, by its name; of those that any trial has begun."""
     asked_s: Mapping[str, Range]
     """When a person is first asked for something in a job, by its name; of those in which any trial has asked one."""
+    moments_s: Mapping[str, Sequence[Range]]
+    """When each of the moments is that need a person by the plan, by the job's name; of those likewise. From the first
+    of what is asked at it, as to take a container off the pan and to put another one there, until the last."""
     ended: Mapping[str, int]
     """How many trials have come to the end of each job."""
     alone: Mapping[str, int]
@@ -101,9 +104,17 @@ class Odds:
     verdicts: Mapping[str, float]
     """How many are not good without a failure, by what their weighings say, likewise; `in tolerance`: unconfirmed."""
 
-    def person_s(self, job: str) -> Range | None:
-        """When a person is needed in a job; where no trial has asked for one, when it begins, if any has begun it."""
-        return self.asked_s.get(job) or self.began_s.get(job)
+    def persons_s(self, plan: Plan) -> Iterator[tuple[PersonNeeded, Range | None]]:
+        """Every moment of the plan that needs a person, and when.
+
+        Where no trial has asked for one in that job, when it begins, if any has begun it.
+        """
+        before = Counter[str]()
+        for person in plan.persons:
+            job = person.job or ""
+            moments = self.moments_s.get(job)
+            yield person, moments[before[job]] if moments is not None else self.began_s.get(job)
+            before[job] += 1
 
     @property
     def tells_intervals(self) -> bool:
@@ -127,7 +138,9 @@ class Odds:
 def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> Odds:
     """The odds of a plan by its trials, at least one; `as_written`: what each sample asks for is the same in all."""
     vessels = sorted({kind for trial in found for mg in trial.leftovers_mg.values() for kind in mg} - {*LEFTOVERS})
-    first_asked_s = [min(trial.asked_s.values(), default=math.inf) for trial in found]
+    first_asked_s = [min((one[0][0] for one in trial.asked_s.values()), default=math.inf) for trial in found]
+    moments = Counter(person.job for person in plan.persons if person.job is not None)
+    asked_s = {job: [trial.asked_s[job] for trial in found if job in trial.asked_s] for job in moments}
     bad = [one for trial in found for one in trial.samples if not one.good]
     codes = Counter(one.code for one in bad if one.code is not None)
     verdicts = Counter(one.verdict for one in bad if one.code is None)
@@ -138,12 +151,13 @@ def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> O
         trials=len(found),
         duration_s=_of_times([trial.duration_s for trial in found]),
         began_s=_of_jobs(plan, [trial.began_s for trial in found]),
-        asked_s=_of_jobs(plan, [trial.asked_s for trial in found]),
+        asked_s=_of_jobs(plan, [{job: of[0][0] for job, of in trial.asked_s.items()} for trial in found]),
+        moments_s={job: _moments(moments[job], of_trials) for job, of_trials in asked_s.items() if of_trials},
         ended={job.name: sum(job.name in of_s for of_s in ends_s) for job in plan.jobs},
         alone={
             job.name: sum(
-                of_s.get(job.name, math.inf) <= min(asked_s, trial.duration_s)
-                for trial, of_s, asked_s in zip(found, ends_s, first_asked_s, strict=True)
+                of_s.get(job.name, math.inf) <= min(first_s, trial.duration_s)
+                for trial, of_s, first_s in zip(found, ends_s, first_asked_s, strict=True)
             )
             for job in plan.jobs
         },
@@ -177,6 +191,24 @@ def _of_jobs(plan: Plan, times_s: Sequence[Mapping[str, float]]) -> dict[str, Ra
     """A time of each job, by trials; of those that any has."""
     by_job = {job.name: [of[job.name] for of in times_s if job.name in of] for job in plan.jobs}
     return {job: _of_times(found) for job, found in by_job.items() if found}
+
+
+def _moments(many: int, asked_s: Sequence[Sequence[Sequence[float]]]) -> list[Range]:
+    """When each of so many moments of a job is, by when the actions of each trial that have asked in it did so.
+
+    They are those of the trials in which just so many actions asked. Where few are like that, as somebody was asked
+    about a failure, or a skill's forecast does not know, nobody can say which is which: each may be any of them.
+    """
+    alike = [one for one in asked_s if len(one) == many]
+    if len(alike) >= min(FEWEST, len(asked_s)):
+        return [_from_to(spans) for spans in zip(*alike, strict=True)]
+    return [_from_to([(one[0][0], max(last for _, last in one)) for one in asked_s])] * many
+
+
+def _from_to(spans_s: Sequence[Sequence[float]]) -> Range:
+    """Of times from which until which something was: from when it begins until when it is over at the latest."""
+    begins, ends = (_of_times(times) for times in zip(*spans_s, strict=True))
+    return Range(begins.low, begins.middle, ends.high)
 
 
 def _of_times(times_s: Sequence[float]) -> Range:

@@ -16,27 +16,25 @@ START = Range(0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Stay:
-    """Jobs that need a person, and when the first of them does at the earliest and the last one at the latest."""
+    """Moments that need a person: how many, when the first of them comes at the earliest and the last at the latest."""
 
-    jobs: tuple[str, ...]
+    moments: int
     from_s: float
     until_s: float
 
 
 def stays(plan: Plan, odds: Odds) -> Iterator[Stay]:
     """The stays of persons in their order, the start's first; of moments that any trial has come to."""
-    needed = {person.job for person in plan.persons}
-    jobs, first, last = list[str](), START, START
-    for job in plan.jobs:
-        when = odds.person_s(job.name) if job.name in needed else None
+    moments, first, last = 0, START, START
+    for _, when in odds.persons_s(plan):
         if when is None:
             continue
         if when.middle - last.middle > APART_S:
-            yield Stay(tuple(jobs), first.low, last.high)
-            jobs, first = [], when
-        jobs.append(job.name)
+            yield Stay(moments, first.low, last.high)
+            moments, first = 0, when
+        moments += 1
         last = when
-    yield Stay(tuple(jobs), first.low, last.high)
+    yield Stay(moments, first.low, last.high)
 
 
 def unforeseen(plan: Plan, odds: Odds) -> list[str]:
@@ -57,7 +55,7 @@ def unforeseen_in_words(plan: Plan, odds: Odds) -> Iterator[str]:
 def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]:
     """How often somebody comes, and when: after the start, or by the clock of a night. Nothing for who never does."""
     found = list(stays(plan, odds))
-    if not any(stay.jobs for stay in found):
+    if not any(stay.moments for stay in found):
         return
     told = format_duration if night is None else night.clock
     times = list[str]()
@@ -70,6 +68,6 @@ def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]
         else:
             span = first if night is None else f"at {first}"
         span += " after it" if night is None else ""
-        times.append(f"{span} ({counted(len(stay.jobs), 'moment')})" if stay.jobs else "for the start")
+        times.append(f"{span} ({counted(stay.moments, 'moment')})" if stay.moments else "for the start")
     *before, end = times
     yield f"So a person comes {counted(len(times), 'time')}: {', '.join(before)}{', and ' if before else ''}{end}."

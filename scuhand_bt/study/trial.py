@@ -3,7 +3,7 @@
 It is made in a process of its own (`study/dry_run.py`), so that nothing here needs the robot's libraries.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
@@ -72,8 +72,8 @@ class Trial:
     """What each source has lost, by its name."""
     leftovers_mg: Mapping[str, Mapping[str, float]]
     """By source, what was left in the cone after doses: returned, discarded, put away; of what was kept the most."""
-    asked_s: Mapping[str, float] = field(default_factory=dict)
-    """When a person was first asked for something in each job in which one was, by its name."""
+    asked_s: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
+    """When a person was first and last asked for something by each action that did so, by its job's name."""
 
 
 Task: TypeAlias = tuple[Setup, int]
