@@ -142,15 +142,16 @@ def carry(x: Array, p: Array, f: Array) -> None:
 
 
 @compiled(
-    f"UniTuple(f8, 5)({_FILTERS}, f8[:,:,::1], f8[:,::1], i8[::1], f8[::1], f8[:,::1], "
+    f"UniTuple(f8, 5)({_FILTERS}, f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,::1], "
     "UniTuple(f8, 4), f8, f8, f8, UniTuple(f8, 6), f8)"
 )
 def take_in(
     filters: Filters,
     still: Array,
     adds: Array,
-    lags: NDArray[np.intp],
+    late_s: Array,
     phi: Array,
+    seen: NDArray[np.int64],
     passed: Array,
     row: tuple[float, float, float, float],
     reference: float,
@@ -159,12 +160,13 @@ def take_in(
     assumed: tuple[float, float, float, float, float, float],
     farthest: float,
 ) -> tuple[float, float, float, float, float]:
-    """Take in a reading: x, p, unseen, weights, and phi (H,) as each has seen it last, are as they are after it.
+    """Take in a reading: x, p, unseen, weights, phi and seen are as they are after it.
 
-    `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`, `lags` (H,) by how many readings models run behind,
-    `passed` (R, 2) both integrals until each reading. `most_sd` is of k, in its own unit, how unsure it can become;
-    `tells` how much the reading tells of the balance. `row` is its time since the last one, itself, its noise, and by
-    how much the opening was changed. Of the likeliest model: its innovation in standard deviations, the share of its
+    `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`, `late_s` (H,) how late models run. `passed` (R, 3) has the
+    time of each reading, this one the last, and both integrals until then; `seen` (H,) until which of them each model
+    has seen, and `phi` (H,) what it was there. `most_sd` is of k, in its own unit, how unsure it can become; `tells`
+    how much the reading tells of the balance. `row` is its time since the last one, itself, its noise, and by how much
+    the opening was changed. Of the likeliest model: its innovation in standard deviations, the share of its
     variance that is none of the powder's, k, and what has come since the last reading [mg]; and, as a share of the
     greatest weight, the least.
     """
@@ -176,10 +178,12 @@ def take_in(
     told = (0.0, 0.0, 0.0, 0.0)
     innovations_mg, f, common = np.empty(many), np.empty((5, 5)), 0.0
     for h in range(many):
-        at = max(last - lags[h], 0)
-        before = max(at - 1, 0)
-        phi_s, slope_s = passed[at, 0] - passed[before, 0], passed[at, 1] - passed[before, 1]
-        unseen[h, 0], unseen[h, 1] = passed[last, 0] - passed[at, 0], passed[last, 1] - passed[at, 1]
+        before, at, due_s = seen[h], last, passed[last, 0] - late_s[h]
+        while at > before and passed[at, 0] + passed[at - 1, 0] > 2.0 * due_s:  # until the reading that is nearest
+            at -= 1
+        seen[h] = at
+        window_s, phi_s, slope_s = passed[at] - passed[before]
+        unseen[h] = passed[last, 1:] - passed[at, 1:]
         k = x[h, K]
         p[h, K, K] += (exponent_error * changed * max(k, 0.0)) ** 2
         f[:] = still[h]
@@ -191,8 +195,10 @@ def take_in(
         if phi_s > 0.0:
             walk = (walk_per_s * reference) ** 2 + bridges_per_s * max(reference - k, 0.0) ** 2
             p[h, K, K] = min(p[h, K, K] + walk * dt_s, max(p[h, K, K], most_sd**2))
-        unsteady = (unsteady_s * k * (phi_s / dt_s - phi[h])) ** 2
-        phi[h] = phi_s / dt_s
+        phi_before = phi[h]
+        if at > before:
+            phi[h] = phi_s / window_s
+        unsteady = (unsteady_s * k * (phi[h] - phi_before)) ** 2
         unexplained = noise_mg**2 + unsteady + (misfit * (x[h, MASS] - x[h, READING])) ** 2
         shown = p[h, READING, READING]
         common += weights[h] * (shown + unsteady)
