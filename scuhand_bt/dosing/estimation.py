@@ -156,7 +156,8 @@ class Bank:
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
 
-        Returns the likeliest model's innovation in standard deviations.
+        Returns the likeliest model's innovation in standard deviations. ArithmeticError where what comes of it is no
+        number: compiled code says nothing of that, and no opening may go by it.
         """
         for mean, over_s in enumerate(CHANGE_S):
             self._means[mean] += (row.phi_s / row.dt_s - self._means[mean]) * -math.expm1(-row.dt_s / over_s)
@@ -186,6 +187,8 @@ class Bank:
         if least < LEAST_LIKELY:
             self._drop_unlikely()
         self._tell()
+        if not math.isfinite(score + self.mass_mg + self.unseen_mg + self.coefficient + self.coefficient_sd):
+            raise ArithmeticError(f"the dosing law can make no number of {row}")
         return score
 
     def _drop_unlikely(self) -> None:
