@@ -25,16 +25,22 @@ from scuhand_bt.skill import (
 class CheckWeight(Skill[Milligrams]):
     """Have the operator put a check weight on the empty pan, and off again; gives how far off the balance is.
 
-    Several `times`, it tells the balance's repeatability, and the worst of them counts.
+    Arm and hand stand still from each request to its answer. Several `times`, it tells the balance's repeatability, and
+    the worst of them counts.
     """
 
-    raises = (Code.OPERATOR_REFUSED, "balance.inaccurate")
+    raises = (Code.OPERATOR_REFUSED, "balance.inaccurate", "balance.not_bare")
     devices = ("balance",)
+    zones = ("pan",)  # where a person reaches
     failures: ClassVar = {
         "balance.inaccurate": Failure(
             "The balance does not weigh a check weight right.",
             "Check that it is the right weight, clean and in the middle of the pan; adjust the balance.",
-        )
+        ),
+        "balance.not_bare": Failure(
+            "A container stands where a check weight is to be put.",
+            "In the workflow, call `remove_container` before `check_weight`.",
+        ),
     }
     typical_s = 120.0
     interrupted = "repeat"
@@ -50,6 +56,8 @@ class CheckWeight(Skill[Milligrams]):
         return Forecast(cls.typical_s * times, f"put a check weight on the pan, and take it off again{again}")
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
+        if (container := cell.believed.pan) is not None:
+            raise SkillFailed("balance.not_bare", f"'{container.id}' is on the pan")
         cell.balance_figures["check_weight_error_mg"] = None  # until it has passed again
         errors_mg = []
         for _ in range(self.times):
@@ -103,6 +111,6 @@ class CheckWeight(Skill[Milligrams]):
 
     @staticmethod
     def _ask(cell: Cell, request: str) -> Steps[None]:
-        answer = yield from cell.operator.ask(request)
+        answer = yield from cell.right_of_way.undisturbed(cell.operator.ask(request))
         if answer != "done":
             raise SkillFailed(Code.OPERATOR_REFUSED, request)

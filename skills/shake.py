@@ -8,7 +8,10 @@ from scuhand_bt.skill import Cell, Ratio, Seconds, Skill, Steps, pause
 
 
 class Shake(Skill[None]):
-    """Vibrate the closed cone for a while, to bring powder down its wall or break a bridge."""
+    """Vibrate the closed cone for a while, to bring powder down its wall or break a bridge.
+
+    Beside a weighing, or a container that is changed, it waits for the end of that.
+    """
 
     devices = ("hand",)
     typical_s = 3.0
@@ -18,6 +21,7 @@ class Shake(Skill[None]):
     level_ratio: Annotated[Ratio, Field(ge=0, le=1)] = 1.0
 
     def run(self, cell: Cell) -> Steps[None]:
+        yield from cell.right_of_way.go(shaking=True)
         cell.hand.set_vibration(self.level_ratio)
         try:
             yield from pause(cell, self.duration_s)

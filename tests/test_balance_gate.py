@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from conftest import Call, LabFolder, problems_of
-from running import Ran, dry_run, shared_planner
+from running import Ran, dry_run, make_lab, shared_planner
 
 from harness.falsify import Falsifier
 from harness.worlds import BY_NAME
@@ -369,6 +369,18 @@ def test_the_start_of_day_measures_noise_drift_repeatability_and_the_check_weigh
     assert (measured["weighings"], len(checked)) == (5, 5)
     assert figures["check_weight_error_mg"].value == max(checked, key=abs)
     assert figures["repeatability_mg"].value == measured["repeatability_mg"] == pytest.approx(stdev(checked))
+
+
+def test_a_container_on_the_pan_is_no_fault_of_the_balance(tmp_path: Path) -> None:
+    """It was told to weigh the check weight 9 g wrong."""
+    lab = make_lab(tmp_path / "lab")
+    tree = "tree: {sequence: [{place_container: {container: $container}}, {check_weight: {weight: 20 g}}]}"
+    behind = f"workflow: behind\ninputs: {{container: Container}}\n{tree}\n"
+    (lab / "trees" / "behind.yaml").write_text(behind, encoding="utf-8")
+    recipe = "recipe: behind\nworkflow: behind\nsamples: [{id: a, container: xrd_holder}]\n"
+    ran = dry_run(tmp_path, recipe, lab=lab)
+    assert ran.sample("a").code == "balance.not_bare"
+    assert not told(ran, "asked")
 
 
 def test_a_check_weight_that_is_wrong_once_fails_and_takes_back_the_day_before(tmp_path: Path) -> None:

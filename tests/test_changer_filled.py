@@ -48,7 +48,7 @@ def with_changer(lab: LabFolder, slots: str) -> None:
         (
             RECIPE,
             "{pellet_die_13mm: 2, alumina_crucible: 4}",
-            ["each kind in its slots, as many as it holds: 3 pellet_die_13mm, 1 alumina_crucible."],
+            ["each kind in its slots: 2 of 3 pellet_die_13mm, 1 alumina_crucible."],
         ),
         (RECIPE, "{pellet_die_13mm: 3, alumina_crucible: 1}", ["in its slots: 3 pellet_die_13mm, 1 alumina_crucible."]),
         (RECIPE, "4", ["in the order of the jobs: 2 pellet_die_13mm, 1 alumina_crucible, 1 pellet_die_13mm."]),

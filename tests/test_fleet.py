@@ -158,6 +158,19 @@ def test_a_station_offers_the_slots_of_its_changer(lab_folder: LabFolder, change
     assert offer_of(lab_folder.load(), simulated=True, unattended=True).slots == slots
 
 
+def test_a_station_offers_no_workflow_that_leads_to_what_is_broken(lab_folder: LabFolder) -> None:
+    """A job went there, and failed."""
+    sound = set(offer_of(lab_folder.load(), simulated=True, unattended=True).names["workflow"])
+    lab_folder.write("skills/shake.py", "def x(:")
+    lab_folder.write("trees/shaken.yaml", "workflow: shaken\ntree: {sequence: [{shake: {duration: 1 s}}]}\n")
+    lab_folder.write("trees/outer.yaml", "workflow: outer\ntree: {optional: {child: {shaken: }}}\n")
+    lab_folder.write("trees/wrong.yaml", "workflow: wrong\ntree: {parallel: [{park: }, {tour: }]}\n")
+    lab_folder.write("trees/right.yaml", "workflow: right\ntree: {sequence: [{park: }, {tour: }]}\n")
+    offered = set(offer_of(lab_folder.load(), simulated=True, unattended=True).names["workflow"])
+    assert {"scoop_and_dispense", "clean_up"} <= sound
+    assert offered == sound | {"right"}
+
+
 def test_an_unattended_station_lacks_the_person_that_a_plan_needs(tmp_path: Path, offer: Offer) -> None:
     lab = make_lab(tmp_path / "lab")
     cell = (lab / "robot" / "cell.yaml").read_text().replace("driver: carousel, slots: 24", "driver: operator")

@@ -238,6 +238,17 @@ def test_while_a_container_changes_the_arm_may_move_and_the_motor_does_not_begin
     assert list(bench.way.go(shaking=True)) == []
 
 
+def test_a_cone_is_not_shaken_until_the_next_container_is_weighed(starter: Lab, bench: Bench) -> None:
+    shake = starter.library.skills["shake"](duration_s=1.0)
+    changing, shaking = bench.way.unshaken(bench.later(5.0, lambda: None)), shake.run(bench.cell)
+    next(changing)
+    next(shaking)
+    assert bench.cell.hand.is_stopped
+    bench.do(changing)
+    bench.do(shaking)
+    assert bench.clock.now_s == pytest.approx(6.0)
+
+
 def test_what_is_moved_all_the_same_in_a_weighing_lets_it_begin_again(bench: Bench) -> None:
     """The hand itself waits for nobody: a lab's skill may shake it beside a weighing."""
     shaken_s = 0.3
@@ -715,6 +726,20 @@ def test_the_arm_stands_still_while_a_person_changes_the_container(tmp_path: Pat
     assert not [move_s for move_s in moves_s if place_s[0] < move_s < answered_s]
     assert [move_s for move_s in moves_s if answered_s <= move_s < place_s[1]], "but not while the pan comes to rest"
     assert answered_s - asked_s > 10.0
+
+
+def test_the_arm_stands_still_while_a_person_has_a_check_weight_in_hand(tmp_path: Path) -> None:
+    folder = make_lab(tmp_path / "lab")
+    checking = "inputs: {container: Container}\ntree: {parallel: [{check_weight: {weight: 20 g}}, {tour: }]}\n"
+    (folder / "trees" / "checking.yaml").write_text("workflow: checking\n" + checking, encoding="utf-8")
+    recipe = "recipe: two\nworkflow: checking\nsamples: [{id: a, container: xrd_holder}]\n"
+    _, journal = run_dry(tmp_path / "runs", load_lab(folder), recipe=recipe)
+    events = read(journal, "event")
+    asked_s, answered_s = ([e["time_s"] for e in events if e["kind"] == kind] for kind in ("asked", "answered"))
+    moves_s = [event["time_s"] for event in events if event["kind"] == "arm_moves"]
+    assert len(asked_s) == 2
+    assert max(moves_s) > asked_s[0]
+    assert not [at for at in moves_s if any(a <= at < b for a, b in zip(asked_s, answered_s, strict=True))]
 
 
 OVER_THE_PAN = """

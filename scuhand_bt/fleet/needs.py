@@ -12,9 +12,12 @@ from pydantic import BaseModel, ConfigDict
 
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.inventory import Inventory
+from scuhand_bt.problems import Problems
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.run.inventory_conflicts import EMPTY_MG
+from scuhand_bt.tree.check import check_workflows
+from scuhand_bt.tree.library import Library
 
 Kind = Literal["powder", "container", "mortar", "workflow", "mortar station", "vessel"]
 
@@ -97,7 +100,7 @@ def offer_of(lab: Lab, *, simulated: bool, unattended: bool) -> Offer:
             "powder": _sorted(library.powders),
             "container": _sorted(library.containers),
             "mortar": _sorted(library.mortars),
-            "workflow": _sorted(library.workflows),
+            "workflow": _sorted(name for name in library.workflows if _is_sound(name, library)),
             "mortar station": _sorted(one.name for one in lab.cell.stations.values() if one.kind == "mortar"),
             "vessel": _sorted(one.name for one in lab.cell.stations.values() if one.kind == "waste"),
         },
@@ -150,6 +153,13 @@ def _changer_lacks(needs: Needs, offer: Offer) -> Iterator[str]:
 
 def _sorted(names: "Iterator[str] | Mapping[str, object]") -> tuple[str, ...]:
     return tuple(sorted(set(names)))
+
+
+def _is_sound(workflow: str, library: Library) -> bool:
+    """Whether it can be run with what the lab has: a broken skill breaks all workflows that lead to it."""
+    problems = Problems()
+    check_workflows(library, [workflow], problems)
+    return not problems.found
 
 
 def _is_there(mass_mg: float | None) -> bool:

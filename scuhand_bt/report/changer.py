@@ -1,7 +1,6 @@
 """The changer's slots: what a plan wants in them, and what a run has taken from which."""
 
 import json
-from collections import Counter
 from collections.abc import Iterator
 from itertools import groupby
 
@@ -19,18 +18,22 @@ def changer_lines(plan: Plan, cell: CellSpec) -> Iterator[str]:
     if changer.driver == "operator" or not kinds:
         return
     if changer.kinds:
-        of_kinds = [f"{kinds.count(kind)} {kind}" for kind in changer.kinds if kind in kinds]
+        of_kinds = [
+            _at_first(kinds.count(kind), kind, changer.slots_for(kind)) for kind in changer.kinds if kind in kinds
+        ]
         order, taken, behind = "each kind in its slots", "the next container of its kind", "each kind"
     else:
         of_kinds = [f"{len(list(group))} {kind}" for kind, group in groupby(kinds)]
         order, taken = "in the order of the jobs", "the next container, and each sample behind it the one after its own"
         behind = "the last"
-    wanted = Counter(kind if changer.kinds else "" for kind in kinds)
-    is_filled_again = any(many > changer.slots_for(kind) for kind, many in wanted.items())
-    at_first = ", as many as it holds" if is_filled_again else ""
+    at_first = ", as many as it holds" if not changer.kinds and len(kinds) > changer.slots_for("") else ""
     yield f"In the changer, {order}{at_first}: {listed(of_kinds, 'group')}."
     if plan.recipe.redone:
         yield f"A sample that is done once more takes {taken}: put spare ones behind {behind}."
+
+
+def _at_first(wanted: int, kind: str, slots: int) -> str:
+    return f"{slots} of {wanted} {kind}" if wanted > slots else f"{wanted} {kind}"
 
 
 def slots_taken(contents: Contents) -> list[tuple[str, str, str]]:
