@@ -9,10 +9,10 @@ from dose_bench import dose_request
 from scipy.linalg import expm
 from scipy.stats import norm
 
-from scuhand_bt.dosing import Observation, estimation
+from scuhand_bt.dosing import Observation, estimation, filters
 from scuhand_bt.dosing.constraint import CHOICES, RISK, UNSEEN_ERROR, widest_mm
 from scuhand_bt.dosing.estimation import Bank, Model
-from scuhand_bt.dosing.identification import SHAPES, Array, G, K, Row, balance_by
+from scuhand_bt.dosing.identification import SHAPES, Array, G, K, Row, balance_by, transitions
 from scuhand_bt.dosing.knowledge import Knowledge
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.specs import BalanceBelief, PowderBelief
@@ -129,6 +129,9 @@ def test_a_bank_is_kalmans_filters_and_bayes_rule(kind: str, periods_s: list[flo
             (means_mg, variances), (expected_mg, expected_variances) = bank.coming(*way), textbook.coming(*way)
             assert means_mg == pytest.approx(expected_mg, rel=1e-6)
             assert variances == pytest.approx(expected_variances, rel=1e-5)
+            most_mg = float(np.mean(means_mg)) + 3.0
+            tails = norm.sf(most_mg, means_mg, np.sqrt(variances))
+            assert bank.chance(*way, most_mg) == pytest.approx(bank.weights @ tails, rel=1e-9)
         means_mg, variances = textbook.coming(0.0, 0.0)
         behind_mg, behind_sd_mg = textbook.over_all(means_mg - [x[READ] for x in textbook.x], np.zeros(len(means_mg)))
         coefficient = textbook.over_all(np.array([x[K] for x in textbook.x]), np.array([p[K, K] for p in textbook.p]))
@@ -140,18 +143,18 @@ def test_a_bank_is_kalmans_filters_and_bayes_rule(kind: str, periods_s: list[flo
 
 @pytest.mark.parametrize("reference", [FLOW, 4.0 * FLOW])
 @pytest.mark.parametrize("aim", [0.5, 0.95])
-@pytest.mark.parametrize("known_gap_mm", [0.2, 1.0])
+@pytest.mark.parametrize(("known_gap_mm", "slope_s"), [(0.2, 0.05), (1.0, 0.05), (0.2, 0.5)])
 def test_the_widest_opening_is_the_last_that_the_constraint_allows(
-    reference: float, aim: float, known_gap_mm: float
+    reference: float, aim: float, known_gap_mm: float, slope_s: float
 ) -> None:
-    """By the formula at the top of `constraint`, for little room and for much."""
+    """By the formula at the top of `constraint`, for little room and for much; and where the opening seems none."""
     weights, answered_s, speed_mm_per_s = np.array([2.0, 1.0]), 0.26, 4.0
     bank = Bank([Model(0.5, "two poles"), Model(1.5, "delay")], weights, 0.4, 0.05)
     bank.restart(10.0, 0.4, FLOW, MOST_SPREAD, 0.1)
     bank.erratic, bank.temper = 1.5, 0.0
     textbook = Textbook([Model(0.5, "two poles"), Model(1.5, "delay")], weights, bank)
     for number in range(18):
-        row = Row(0.1, 0.02, 0.05, 10.0 + 0.3 * number, 0.1)
+        row = Row(0.1, 0.02, slope_s, 10.0 + 0.3 * number, 0.1)
         textbook.update(row, FLOW)
         bank.update(row, FLOW)
     k, g = (np.array([x[which] for x in textbook.x]) for which in (K, G))
@@ -184,6 +187,31 @@ def test_the_widest_opening_is_the_last_that_the_constraint_allows(
         assert widest == pytest.approx(0.1 + (allowed_mm or gaps_mm)[-1 if allowed_mm else 0])
         opened_mm.add(widest)
     assert len(opened_mm) > 8
+
+
+def test_so_little_that_it_is_nothing_says_nothing_of_lumps() -> None:
+    bank = Bank([Model(0.5, "two poles")], np.ones(1), 0.5, 0.02)
+    bank.restart(0.0, 0.1, FLOW, 0.2)
+    for number in range(10):
+        bank.update(Row(0.1, 1e-4, 0.0, 2.0 * (number % 2), 0.1), FLOW)
+    assert bank.surge_mg == 0.5
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_a_balance_shows_follows_what_has_reached_its_filter(shape: str) -> None:
+    pure, damping = SHAPES[shape]
+    steps_s, delay_s, arrived_mg = (0.1, 0.23), 0.8, np.array([3.0, 3.0, 10.0, 24.0, 24.0, 24.0])
+    steps = np.array([0, 1, 0, 1, 1, 0])
+    own, y, expected_mg = 2.0 * damping / ((1.0 - pure) * delay_s), np.zeros(3), []
+    for step, came_mg in zip(steps.tolist(), np.diff(arrived_mg, prepend=0.0).tolist(), strict=True):
+        rates = np.zeros((4, 4))  # y, y', M, and what M grows by in a second
+        rates[0, 1], rates[2, 3] = 1.0, 1.0
+        rates[1, :3] = -own * own, -2.0 * damping * own, own * own
+        y = (expm(rates * steps_s[step]) @ np.append(y, came_mg / steps_s[step]))[:3]
+        expected_mg.append(y[0])
+    ways = [transitions(*np.array([[delay_s], [pure], [damping]]), step_s) for step_s in steps_s]
+    still, adds = (np.array(each) for each in zip(*ways, strict=True))
+    assert filters.shown(still, adds, steps, arrived_mg[None])[0] == pytest.approx(expected_mg, rel=1e-5)
 
 
 # --- when readings come

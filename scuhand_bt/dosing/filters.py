@@ -189,7 +189,7 @@ def take_in(
         phi_s, slope_s = passed[at, 1] - passed[before, 1], passed[at, 2] - passed[before, 2]
         unseen[h, 0], unseen[h, 1] = passed[last, 1] - passed[at, 1], passed[last, 2] - passed[at, 2]
         k = x[h, K]
-        p[h, K, K] += (exponent_error * changed * max(k, 0.0)) ** 2
+        p[h, K, K] += (exponent_error * changed * k) ** 2
         for i in range(5):
             for j in range(5):
                 f[i, j] = still[h, i, j]
