@@ -183,7 +183,8 @@ def take_in(
     innovations_mg, f, gain, shares, common = np.empty(many), np.empty((5, 5)), np.empty(5), np.empty(5), 0.0
     for h in range(many):
         before, at, due_s = seen[h], last, passed[last, 0] - late_s[h]
-        while at > before and passed[at, 0] + passed[at - 1, 0] > 2.0 * due_s:  # until the reading that is nearest
+        # Until the reading that is nearest; of two as near the later, however their times are rounded.
+        while at > before and passed[at, 0] + passed[at - 1, 0] > 2.0 * due_s + 1e-6:
             at -= 1
         seen[h] = at
         phi_s, slope_s = passed[at, 1] - passed[before, 1], passed[at, 2] - passed[before, 2]
