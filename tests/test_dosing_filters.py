@@ -233,6 +233,16 @@ def test_on_a_dead_time_a_line_that_is_lost_or_late_changes_nothing_of_what_has_
         assert bank.coefficient == pytest.approx(FLOW, rel=0.03)
 
 
+def test_a_dead_time_that_ends_between_two_readings_is_taken_alike_however_their_times_are_rounded() -> None:
+    scores = []
+    for dt_s in (0.1 - 1e-9, 0.1, 0.1 + 1e-9):
+        bank = Bank([Model(1.0, "late")], np.ones(1), 0.1, 0.02)  # 5.5 readings
+        bank.restart(0.0, 0.1, FLOW, 0.2)
+        scores.append([bank.update(Row(dt_s, dt_s, 0.0, 4.0 * number, 0.1), FLOW) for number in range(30)])
+    assert scores[0] == pytest.approx(scores[1], abs=1e-5)
+    assert scores[2] == pytest.approx(scores[1], abs=1e-5)
+
+
 def watched(shape: str, apart_s: float | None) -> Knowledge:
     """3 s of an opening, whose lines come every 0.1 s; now and then two of them so near to each other."""
     belief = BalanceBelief(lag_s=0.3, doubt=0.1, shape=shape, fits=2, noise_mg=0.1)
