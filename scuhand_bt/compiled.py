@@ -21,7 +21,7 @@ def compiled(signature: str) -> Callable[[F], F]:
     def compile_it(function: F) -> F:
         try:
             return cast(F, njit(signature, cache=True, error_model="numpy")(function))
-        except RuntimeError:  # there is no place to keep it
+        except Exception:  # no place to keep it, no room there, or what was kept is spoilt: what else is wrong is told
             return cast(F, njit(signature, error_model="numpy")(function))
 
     return compile_it

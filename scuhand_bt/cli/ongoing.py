@@ -19,6 +19,7 @@ from scuhand_bt.cli.run import (
     told,
 )
 from scuhand_bt.cli.shared import (
+    GETS_READY,
     JsonFlag,
     LabOption,
     OperatorOption,
@@ -28,6 +29,7 @@ from scuhand_bt.cli.shared import (
     note_problems,
     out,
     print_json,
+    told_if_long,
     unknown,
 )
 from scuhand_bt.cli.streams import unwatched
@@ -80,7 +82,8 @@ def resume(
             typer.confirm(asked, abort=True)
 
         def make(control: "Control") -> "Session":
-            return found.prepare(person=person, may_torque=yes or out.is_terminal, control=control)
+            with told_if_long(GETS_READY, quiet=quiet):
+                return found.prepare(person=person, may_torque=yes or out.is_terminal, control=control)
 
         shows = how_much(quiet=quiet, verbose=verbose)
         run_to_its_end(make, json_file, shows, dashboard=dashboard, groot=groot, tell=tell)

@@ -12,6 +12,7 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.shared import (
+    GETS_READY,
     FaultsOption,
     LabOption,
     OperatorOption,
@@ -24,6 +25,7 @@ from scuhand_bt.cli.shared import (
     on_signals,
     out,
     the_plan,
+    told_if_long,
 )
 from scuhand_bt.cli.streams import lines_into, unwatched
 from scuhand_bt.exit_codes import ExitCode
@@ -123,7 +125,8 @@ def run(
         person = the_person(operator, opened.state, is_asked=simulation is None)
         how: api.How = {"controller": controller, "unattended": unattended, "control": control}
         how |= {"single_step": step, "slow_ratio": slow_ratio}
-        return opened.prepare(made, simulation, person=person, **how)
+        with told_if_long(GETS_READY, quiet=quiet):
+            return opened.prepare(made, simulation, person=person, **how)
 
     with told(events) as tell, unwatched():
         shows = how_much(quiet=quiet, verbose=verbose)

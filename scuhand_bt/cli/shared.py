@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Timer
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,6 +42,9 @@ err = PlainConsole(stderr=True, soft_wrap=True)
 
 MOST_TOLD = 50
 """So many problems are told one by one."""
+PATIENT_S = 3.0
+"""Who waits for longer is told what for."""
+GETS_READY = "Getting ready: what is compiled, and how the arm goes, is kept, and takes a moment the next time."
 EXIT_ALTERED = ExitCode.CELL_FAULT
 """A journal, or the lab's ledger, is not as it was written."""
 
@@ -138,6 +142,19 @@ def _options(
     ] = False,
 ) -> None:
     pass
+
+
+@contextmanager
+def told_if_long(what: str, *, quiet: bool) -> Iterator[None]:
+    """Tell who waits at a terminal what for, if it lasts."""
+    timer = Timer(PATIENT_S, lambda: err.print(Text(what)))
+    timer.daemon = True
+    if err.is_terminal and not quiet:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 @contextmanager

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scuhand_bt.dosing import filters
 from scuhand_bt.dosing.identification import LEAST_DOUBT, MASS, READING, SHAPES, Array, G, K, Row, transitions
@@ -85,8 +84,6 @@ class _Step(NamedTuple):
     """(H, 5, 5) of `transitions`."""
     adds: Array
     """(H, 5) of `transitions`."""
-    lags: NDArray[np.intp]
-    """(H,) by how many readings models run behind."""
 
 
 class Bank:
@@ -138,17 +135,16 @@ class Bank:
         p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
         many = len(self.weights)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
-        self._phi = np.zeros(many)  # of what each saw last
+        self._phi, self._seen = np.zeros(many), np.zeros(many, np.int64)  # of what each saw last, as `take_in` has it
         self._unseen = np.zeros((many, 2))  # integrals of phi and of its slope
         self._means = [0.0, 0.0]
-        self._passed = np.zeros((1, 2))  # both integrals, until each reading
+        self._passed = np.zeros((1, 3))  # the time of each reading, and both integrals until then
         self._tell()
 
     def _step(self, dt_s: float) -> _Step:
         dt_s = round(dt_s, 3)
         if dt_s not in self._step_of:
-            lags = np.rint(self.pure * self.delays_s / dt_s).astype(np.int64)
-            self._step_of[dt_s] = _Step(*transitions(self.delays_s, self.pure, self._damping, dt_s), lags)
+            self._step_of[dt_s] = _Step(*transitions(self.delays_s, self.pure, self._damping, dt_s))
         return self._step_of[dt_s]
 
     @property
@@ -160,17 +156,20 @@ class Bank:
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
 
-        Returns the likeliest model's innovation in standard deviations.
+        Returns the likeliest model's innovation in standard deviations. ArithmeticError where what comes of it is no
+        number: compiled code says nothing of that, and no opening may go by it.
         """
         for mean, over_s in enumerate(CHANGE_S):
             self._means[mean] += (row.phi_s / row.dt_s - self._means[mean]) * -math.expm1(-row.dt_s / over_s)
         changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
-        now = np.add(self._passed[-1:], (row.phi_s, row.slope_s))
+        now = np.add(self._passed[-1:], (row.dt_s, row.phi_s, row.slope_s))
         self._passed = np.concatenate((self._passed, now))
         score, unexplained, k, came_mg, least = filters.take_in(
             self.held,
             *self._step(row.dt_s),
+            self.pure * self.delays_s,
             self._phi,
+            self._seen,
             self._passed,
             (row.dt_s, row.reading_mg, row.noise_mg, row.changed),
             reference,
@@ -188,6 +187,8 @@ class Bank:
         if least < LEAST_LIKELY:
             self._drop_unlikely()
         self._tell()
+        if not math.isfinite(score + self.mass_mg + self.unseen_mg + self.coefficient + self.coefficient_sd):
+            raise ArithmeticError(f"the dosing law can make no number of {row}")
         return score
 
     def _drop_unlikely(self) -> None:
@@ -197,7 +198,7 @@ class Bank:
         self.delays_s, self.pure, self._damping = self.delays_s[kept], self.pure[kept], self._damping[kept]
         self._step_of = {dt_s: _Step(*(part[kept] for part in step)) for dt_s, step in self._step_of.items()}
         self._x, self._p = self._x[kept], self._p[kept]
-        self._phi, self._unseen = self._phi[kept], self._unseen[kept]
+        self._phi, self._seen, self._unseen = self._phi[kept], self._seen[kept], self._unseen[kept]
 
     def _tell(self) -> None:
         """What is known after a reading: where each model is once it has seen what it has not yet, and all together."""

@@ -60,14 +60,18 @@ def chance(filters: Filters, phi_s: float, slope_s: float, most_mg: float) -> fl
     for h in range(len(weights)):
         mean_mg, variance = coming_by(filters, h, phi_s, slope_s)
         of_more += weights[h] * below((mean_mg - most_mg) / math.sqrt(variance))
-    return of_more
+    return of_more if of_more < 1.0 else 1.0  # and where it is no number: what cannot be reckoned is feared
 
 
 @compiled("UniTuple(f8, 2)(f8[:], f8[:], f8[:])")
 def over_all(weights: Array, means: Array, variances: Array) -> tuple[float, float]:
     """Mean and standard deviation of what models have these (H,) of, with what they differ by."""
-    mean = (weights * means).sum()
-    return mean, math.sqrt(max((weights * (variances + (means - mean) ** 2)).sum(), 0.0))
+    mean = variance = 0.0
+    for h in range(len(weights)):
+        mean += weights[h] * means[h]
+    for h in range(len(weights)):
+        variance += weights[h] * (variances[h] + (means[h] - mean) ** 2)
+    return mean, math.sqrt(max(variance, 0.0))
 
 
 @compiled(f"UniTuple(f8, 5)({_FILTERS})")
@@ -142,15 +146,16 @@ def carry(x: Array, p: Array, f: Array) -> None:
 
 
 @compiled(
-    f"UniTuple(f8, 5)({_FILTERS}, f8[:,:,::1], f8[:,::1], i8[::1], f8[::1], f8[:,::1], "
+    f"UniTuple(f8, 5)({_FILTERS}, f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,::1], "
     "UniTuple(f8, 4), f8, f8, f8, UniTuple(f8, 6), f8)"
 )
 def take_in(
     filters: Filters,
     still: Array,
     adds: Array,
-    lags: NDArray[np.intp],
+    late_s: Array,
     phi: Array,
+    seen: NDArray[np.int64],
     passed: Array,
     row: tuple[float, float, float, float],
     reference: float,
@@ -159,12 +164,13 @@ def take_in(
     assumed: tuple[float, float, float, float, float, float],
     farthest: float,
 ) -> tuple[float, float, float, float, float]:
-    """Take in a reading: x, p, unseen, weights, and phi (H,) as each has seen it last, are as they are after it.
+    """Take in a reading: x, p, unseen, weights, phi and seen are as they are after it.
 
-    `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`, `lags` (H,) by how many readings models run behind,
-    `passed` (R, 2) both integrals until each reading. `most_sd` is of k, in its own unit, how unsure it can become;
-    `tells` how much the reading tells of the balance. `row` is its time since the last one, itself, its noise, and by
-    how much the opening was changed. Of the likeliest model: its innovation in standard deviations, the share of its
+    `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`, `late_s` (H,) how late models run. `passed` (R, 3) has the
+    time of each reading, this one the last, and both integrals until then; `seen` (H,) until which of them each model
+    has seen, and `phi` (H,) what it was there. `most_sd` is of k, in its own unit, how unsure it can become; `tells`
+    how much the reading tells of the balance. `row` is its time since the last one, itself, its noise, and by how much
+    the opening was changed. Of the likeliest model: its innovation in standard deviations, the share of its
     variance that is none of the powder's, k, and what has come since the last reading [mg]; and, as a share of the
     greatest weight, the least.
     """
@@ -172,17 +178,22 @@ def take_in(
     dt_s, reading_mg, noise_mg, changed = row
     walk_per_s, bridges_per_s, held_up, uneven, unsteady_s, exponent_error = assumed
     many, last = len(weights), len(passed) - 1
-    best = int(np.argmax(weights))
+    best = np.argmax(weights)
     told = (0.0, 0.0, 0.0, 0.0)
-    innovations_mg, f, common = np.empty(many), np.empty((5, 5)), 0.0
+    innovations_mg, f, gain, shares, common = np.empty(many), np.empty((5, 5)), np.empty(5), np.empty(5), 0.0
     for h in range(many):
-        at = max(last - lags[h], 0)
-        before = max(at - 1, 0)
-        phi_s, slope_s = passed[at, 0] - passed[before, 0], passed[at, 1] - passed[before, 1]
-        unseen[h, 0], unseen[h, 1] = passed[last, 0] - passed[at, 0], passed[last, 1] - passed[at, 1]
+        before, at, due_s = seen[h], last, passed[last, 0] - late_s[h]
+        # Until the reading that is nearest; of two as near the later, however their times are rounded.
+        while at > before and passed[at, 0] + passed[at - 1, 0] > 2.0 * due_s + 1e-6:
+            at -= 1
+        seen[h] = at
+        phi_s, slope_s = passed[at, 1] - passed[before, 1], passed[at, 2] - passed[before, 2]
+        unseen[h, 0], unseen[h, 1] = passed[last, 1] - passed[at, 1], passed[last, 2] - passed[at, 2]
         k = x[h, K]
-        p[h, K, K] += (exponent_error * changed * max(k, 0.0)) ** 2
-        f[:] = still[h]
+        p[h, K, K] += (exponent_error * changed * k) ** 2
+        for i in range(5):
+            for j in range(5):
+                f[i, j] = still[h, i, j]
         for i in range(K):
             f[i, K], f[i, G] = adds[h, i] * phi_s, adds[h, i] * slope_s
         carry(x[h], p[h], f)
@@ -191,8 +202,10 @@ def take_in(
         if phi_s > 0.0:
             walk = (walk_per_s * reference) ** 2 + bridges_per_s * max(reference - k, 0.0) ** 2
             p[h, K, K] = min(p[h, K, K] + walk * dt_s, max(p[h, K, K], most_sd**2))
-        unsteady = (unsteady_s * k * (phi_s / dt_s - phi[h])) ** 2
-        phi[h] = phi_s / dt_s
+        phi_before = phi[h]
+        if at > before:
+            phi[h] = phi_s / (passed[at, 0] - passed[before, 0])
+        unsteady = (unsteady_s * k * (phi[h] - phi_before)) ** 2
         unexplained = noise_mg**2 + unsteady + (misfit * (x[h, MASS] - x[h, READING])) ** 2
         shown = p[h, READING, READING]
         common += weights[h] * (shown + unsteady)
@@ -200,34 +213,39 @@ def take_in(
         innovations_mg[h] = reading_mg - x[h, READING]
         if h == best:
             told = (innovations_mg[h] / math.sqrt(variance), unexplained / variance, k, k * phi_s)
-        gain, shares = p[h, :, READING] / variance, p[h, READING].copy()
-        x[h] += gain * innovations_mg[h]
         for i in range(5):
-            p[h, i] -= gain[i] * shares
+            gain[i], shares[i] = p[h, i, READING] / variance, p[h, READING, i]
+        for i in range(5):
+            x[h, i] += gain[i] * innovations_mg[h]
+            for j in range(5):
+                p[h, i, j] -= gain[i] * shares[j]
         x[h, K] = max(x[h, K], 0.0)
     # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
-    squares = innovations_mg**2 / (common + noise_mg**2)
-    weights *= np.exp(-0.5 * tells * np.minimum(squares, farthest**2))
+    for h in range(many):
+        square = innovations_mg[h] ** 2 / (common + noise_mg**2)
+        weights[h] *= math.exp(-0.5 * tells * min(square, farthest**2))
     weights /= weights.sum()
     return told[0], told[1], told[2], told[3], weights.min() / weights.max()
 
 
-@compiled("f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[::1], f8[:,::1])")
-def shown(still: Array, adds: Array, steps: NDArray[np.intp], ends_s: Array, late_s: Array, came_mg: Array) -> Array:
-    """(H, N) what models show of masses (H, N) that came by times `ends_s` (N,), each `late_s` (H,) later.
+@compiled("f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1])")
+def shown(still: Array, adds: Array, steps: NDArray[np.intp], arrived_mg: Array) -> Array:
+    """(H, N) what models show, of which these masses (H, N) have reached the filter by so many times (N,).
 
     `steps` (N,) says which of the `transitions` over S times, (S, H, 5, 5) and (S, H, 5), leads to each.
     """
-    shown_mg = np.empty_like(came_mg)
-    from_s, from_mg = np.append(0.0, ends_s), np.zeros(len(ends_s) + 1)
-    for h in range(len(came_mg)):
-        from_mg[1:] = came_mg[h]
-        late_mg = np.interp(ends_s - late_s[h], from_s, from_mg)
-        now = np.zeros(3)  # y, y', M
-        for n, step in enumerate(steps):
-            arrives_mg = late_mg[n] - now[MASS]
-            reading = still[step, h, READING, :K] @ now + adds[step, h, READING] * arrives_mg
-            rate = still[step, h, RATE, :K] @ now + adds[step, h, RATE] * arrives_mg
-            now[:] = reading, rate, late_mg[n]
+    shown_mg = np.empty_like(arrived_mg)
+    for h in range(len(arrived_mg)):
+        reading = rate = mass = 0.0
+        for n in range(len(steps)):
+            way, add, more = still[steps[n], h], adds[steps[n], h], arrived_mg[h, n] - mass
+            reading, rate = (
+                way[READING, READING] * reading
+                + way[READING, RATE] * rate
+                + way[READING, MASS] * mass
+                + add[READING] * more,
+                way[RATE, READING] * reading + way[RATE, RATE] * rate + way[RATE, MASS] * mass + add[RATE] * more,
+            )
+            mass = arrived_mg[h, n]
             shown_mg[h, n] = reading
     return shown_mg

@@ -52,6 +52,8 @@ LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
 """Delays that an opening may show, and a step is taken to have shown: no reading may miss any of it."""
 BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 """Powder may begin to come so long after the valve was told to open."""
+LEAST_APART_S = 1e-3
+"""Times are told apart by this, and readings are taken to be so far apart: lines that were held up come all at once."""
 TAIL = np.arange(0.1, 30.0, 0.1)
 """Times, in delays, that a tail is looked at; no shape takes longer to show 100 g to half of 0.1 mg."""
 INDEPENDENT = 10.0
@@ -232,4 +234,7 @@ def _shown_mg(delays_s: Array, shapes: Sequence[str] | NDArray[np.str_], dt_s: A
     steps_s, steps = np.unique(np.round(dt_s, 3), return_inverse=True)
     ways = [transitions(delays_s, pure, damping, step_s) for step_s in steps_s.tolist()]
     still, adds = (np.array(each) for each in zip(*ways, strict=True))
-    return filters.shown(still, adds, steps, np.cumsum(dt_s), pure * delays_s, came_mg)
+    ends_s = np.append(0.0, np.cumsum(dt_s))
+    late = zip(pure * delays_s, came_mg, strict=True)
+    arrived_mg = np.array([np.interp(ends_s[1:] - late_s, ends_s, np.append(0.0, came)) for late_s, came in late])
+    return filters.shown(still, adds, steps, arrived_mg)

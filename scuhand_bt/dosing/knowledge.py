@@ -22,7 +22,7 @@ from scuhand_bt.dosing.estimation import (
     UNKNOWN_SPREAD,
     Bank,
 )
-from scuhand_bt.dosing.identification import Row, balance_by, with_found
+from scuhand_bt.dosing.identification import LEAST_APART_S, Row, balance_by, with_found
 from scuhand_bt.dosing.noise import Noise
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, acceptance_mg, judge
@@ -128,7 +128,7 @@ class Knowledge:
         seen = yield Stream(opening_mm, vibration, hold_s)
         if seen.time_s > self.time_s + hold_s:
             self.valve.command(self.time_s + hold_s, 0.0)
-        dt_s = seen.time_s - self.time_s
+        dt_s = max(seen.time_s - self.time_s, LEAST_APART_S)
         phi_s, slope_s = self.valve.advance(self.time_s, seen.time_s)
         self.time_s = seen.time_s
         shaking = vibration > 0.0
