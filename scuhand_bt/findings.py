@@ -224,6 +224,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "too-large": Finding("A tree of more nodes than can be run.", "Use `repeat`."),
         "parallel-devices": Finding("Two children of a `parallel` command one device.", "Use `sequence`."),
         "parallel-zones": Finding("Two children of a `parallel` move in one zone of the cell.", "Use `sequence`."),
+        "parallel-values": Finding(
+            "A child of a `parallel` sets a value that another one sets, or reads.",
+            "A name of its own for each result.",
+        ),
         "unknown-zone": Finding(
             "Beside the arm something moves in a zone, and the cell does not say where that is.",
             "Describe it under `zones` of robot/cell.yaml, or use `sequence`.",

@@ -154,6 +154,8 @@ def said(starter: Lab, tree: str, head: str = "", **others: str) -> list[str]:
         "{fallback: [{weigh: {as: m}}, {weigh: {as: m}}]}",
         "{sequence: [{fallback: [{weigh: {as: m}}, {weigh: {as: m}}]}, {fill: {mass: $m}}]}",
         "{sequence: [{parallel: [{weigh: {as: m}}, {move: }]}, {fill: {mass: $m}}]}",
+        "{parallel: [{sequence: [{weigh: {as: m}}, {if: {when: $m > 1 g, then: {weigh: }}}]}, {move: }]}",
+        "{sequence: [{weigh: {as: m}}, {parallel: [{if: {when: $m > 1 g, then: {weigh: {as: n}}}}, {move: }]}]}",
         "{sequence: [{retry: {attempts: 3, child: {weigh: {as: m}}}}, {fill: {mass: $m}}]}",
         "{while: {guards: [{calm: }], child: {move: }}}",
         "{retry: {attempts: 2, on: [hand.cone_empty, workflow.timeout], child: {move: }}}",
@@ -204,6 +206,18 @@ def test_what_fits_together_has_no_problem(starter: Lab, tree: str) -> None:
         ("{parallel: [{swing: }, {over: }]}", "2:31: children 1 and 2 of 'parallel' both move in the zone 'pan'"),
         ("{parallel: [{beside: }, {move: }]}", "2:20: this moves in the zone 'bench' beside the arm"),
         ("{parallel: [{weigh: }, {retry: {attempts: 2, child: {fill: {mass: 1 g}}}}]}", "both command the balance"),
+        (
+            "{parallel: [{weigh: {as: m}}, {optional: {child: {weigh: {as: m}}}}]}",
+            "2:69: children 1 and 2 of 'parallel' both set '$m'",
+        ),
+        (
+            "{sequence: [{weigh: {as: m}}, {parallel: [{if: {when: $m > 1 g, then: {move: }}}, {weigh: {as: m}}]}]}",
+            "2:61: child 1 of 'parallel' reads '$m', which child 2 sets; which comes first is not known",
+        ),
+        (
+            "{sequence: [{weigh: {as: m}}, {parallel: [{weigh: {as: m}}, {if: {when: $m > 1 g, then: {move: }}}]}]}",
+            "child 2 of 'parallel' reads '$m', which child 1 sets",
+        ),
     ],
 )
 def test_what_does_not_fit_is_said_in_its_place(starter: Lab, tree: str, expected: str) -> None:

@@ -9,9 +9,10 @@ from scuhand_bt.skill import Condition
 from scuhand_bt.specs import Powder
 from scuhand_bt.tree.expressions import Reference, fits
 from scuhand_bt.tree.grammar import EXPRESSIONS, KEYWORDS, PARAMETERS, RECORD, why_no_expression
-from scuhand_bt.tree.library import Library, Percent, literal, skills_of
+from scuhand_bt.tree.library import Library, Percent, literal
+from scuhand_bt.tree.side_by_side import check_side_by_side
 from scuhand_bt.tree.wires import INPUT_TYPES, NOTHING, QUANTITIES, WireType, of_field
-from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, Input, TreeNode, Value, Workflow, walk
+from scuhand_bt.tree.workflow import Argument, Call, Choice, Decorator, Input, TreeNode, Value, Workflow, walk
 from scuhand_bt.yaml_source import Node, Scalar, describe
 
 RECORDED = (*QUANTITIES, "Number", "Integer", "Text", "Flag")
@@ -106,35 +107,9 @@ class _Checker:
         self._check_codes(node.codes)
         outcomes = [self._check(child, defined) for child in node.children]
         if node.kind == "parallel":
-            self._check_disjoint(node)
+            check_side_by_side(node, defined, self._library, self._problems)
             return defined.union(*outcomes)
         return frozenset.intersection(*outcomes) if outcomes else defined
-
-    def _check_disjoint(self, node: Branch) -> None:
-        """No two children command one device, or move in one zone; and what zone one moves in is known to the arm."""
-        used: dict[str, int] = {}
-        entered: dict[str, int] = {}
-        rules = (
-            (used, "devices", "both command the {}", "one device does one thing at a time", "parallel-devices"),
-            (entered, "zones", "both move in the zone '{}'", "one thing moves there at a time", "parallel-zones"),
-        )
-        for number, child in enumerate(node.children, start=1):
-            skills = skills_of(child, self._library)
-            for first, kind, clash, why, code in rules:
-                for name in sorted({name for skill in skills for name in getattr(skill, kind)}):
-                    if name in first:
-                        what = f"children {first[name]} and {number} of 'parallel' {clash.format(name)}"
-                        self._problems.add(child.mark, what, f"{why}; use 'sequence'", code=code)
-                    first.setdefault(name, number)
-        for zone, number in entered.items():
-            is_known = zone in self._library.zones or self._library.broken.of("zone", zone)
-            if used.get("arm", number) != number and not is_known:
-                self._problems.add(
-                    node.children[number - 1].mark,
-                    f"this moves in the zone '{zone}' beside the arm, and nothing keeps the arm out of it",
-                    f"`zones:` in robot/cell.yaml, with '{zone}' and its box; else 'sequence'",
-                    code="unknown-zone",
-                )
 
     def _check_decorator(self, node: Decorator, defined: frozenset[str]) -> frozenset[str]:
         for key, argument in node.arguments.items():

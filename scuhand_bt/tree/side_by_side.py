@@ -1,0 +1,58 @@
+"""What goes on at once: the children of a `parallel` have no device, no zone and no value between them."""
+
+from scuhand_bt.problems import Problems
+from scuhand_bt.tree.library import Library, skills_of
+from scuhand_bt.tree.workflow import Branch, Call, arguments_of, references_of, walk
+
+
+def check_side_by_side(node: Branch, defined: frozenset[str], library: Library, problems: Problems) -> None:
+    """Check a `parallel`; `defined` are the names that have a value before it."""
+    _check_places(node, library, problems)
+    _check_values(node, defined, problems)
+
+
+def _check_places(node: Branch, library: Library, problems: Problems) -> None:
+    """No two children command one device, or move in one zone; and what zone one moves in is known to the arm."""
+    used: dict[str, int] = {}
+    entered: dict[str, int] = {}
+    rules = (
+        (used, "devices", "both command the {}", "one device does one thing at a time", "parallel-devices"),
+        (entered, "zones", "both move in the zone '{}'", "one thing moves there at a time", "parallel-zones"),
+    )
+    for number, child in enumerate(node.children, start=1):
+        skills = skills_of(child, library)
+        for first, kind, clash, why, code in rules:
+            for name in sorted({name for skill in skills for name in getattr(skill, kind)}):
+                if name in first:
+                    what = f"children {first[name]} and {number} of 'parallel' {clash.format(name)}"
+                    problems.add(child.mark, what, f"{why}; use 'sequence'", code=code)
+                first.setdefault(name, number)
+    for zone, number in entered.items():
+        is_known = zone in library.zones or library.broken.of("zone", zone)
+        if used.get("arm", number) != number and not is_known:
+            problems.add(
+                node.children[number - 1].mark,
+                f"this moves in the zone '{zone}' beside the arm, and nothing keeps the arm out of it",
+                f"`zones:` in robot/cell.yaml, with '{zone}' and its box; else 'sequence'",
+                code="unknown-zone",
+            )
+
+
+def _check_values(node: Branch, defined: frozenset[str], problems: Problems) -> None:
+    """What one child sets no other sets, or reads as it was before: nobody knows which of them comes first."""
+    sets, reads = [], []
+    for child in node.children:
+        parts = [*walk(child)]
+        values = [value for part in parts for given in arguments_of(part) for value in references_of(given)]
+        sets.append({part.result: part.result_mark for part in parts if isinstance(part, Call) and part.result})
+        reads.append({value.name: value.mark for value in values if value.name in defined})
+    remedy = "which comes first is not known; a name of its own for each result"
+    for number, of in enumerate(sets, start=1):
+        for name, mark in of.items():
+            for other, (also_sets, also_reads) in enumerate(zip(sets, reads, strict=True), start=1):
+                if name in also_sets and other < number:
+                    what = f"children {other} and {number} of 'parallel' both set '${name}'"
+                    problems.add(mark, what, remedy, code="parallel-values")
+                elif name in also_reads and name not in also_sets:
+                    what = f"child {other} of 'parallel' reads '${name}', which child {number} sets"
+                    problems.add(also_reads[name], what, remedy, code="parallel-values")
