@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from scuhand_bt.study import Chance, Odds, Range, Setup, Store, Task, Trial, Vary
 
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")]
+ROUGH = 0.1
+"""So far an estimate of a Sobol index may be from where it can be without a word: with a hundred draws many are."""
 MOST_TRIALS = 1_000_000
 """Of a study; each waits in memory until it is begun."""
 
@@ -129,7 +131,7 @@ def study(
         return
     tell_odds(odds)
     if dominant:
-        _tell_dominant(dominant, varied.design if varied is not None else "")
+        tell_dominant(dominant, varied.design if varied is not None else "")
     out.print(Text(f"Trials are kept in {kept_in}"), soft_wrap=True)
 
 
@@ -245,7 +247,8 @@ def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Tri
     }
 
 
-def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
+def tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
+    """What success and time depend on, as a person reads it."""
     columns = ("first", "total") if design == "sobol" else ("rank",)
     heads = {"first": "Sobol, first order", "total": "Sobol, total", "rank": "rank correlation"}
     for name, places in dominant.items():
@@ -263,3 +266,10 @@ def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
             if one.rows:
                 out.print()
                 out.print(one)
+    indices = [values for places in dominant.values() for values in places.values() if "total" in values]
+    if any(not -ROUGH <= one["first"] <= one["total"] + ROUGH <= 1.0 + 2.0 * ROUGH for one in indices):
+        out.print(
+            "Shares lie between 0 and 1, and the total is no less than the first order: that these do not tells how "
+            "rough they are. More `draws` make them better.",
+            soft_wrap=True,
+        )
