@@ -1,6 +1,5 @@
 """The compiled law reckons as the equations say that it stands for, at whatever times readings come; or not at all."""
 
-import itertools
 import math
 
 import numpy as np
@@ -71,10 +70,7 @@ class Textbook:
             score = innovation_mg / math.sqrt(variance) if h == best else score
         squares = np.array(innovations_mg) ** 2 / (self.weights @ shown + row.noise_mg**2)
         weights = self.weights * np.exp(-0.5 * tells * np.minimum(squares, estimation.FARTHEST**2))
-        kept = weights > estimation.LEAST_LIKELY * weights.max()
-        self.weights = weights[kept] / weights[kept].sum()
-        for each in (self.models, self.x, self.p, self.seen, self.phi):
-            each[:] = itertools.compress(each, kept)
+        self.weights = weights / weights.sum()
         return score
 
     def coming(self, phi_s: float, slope_s: float) -> tuple[Array, Array]:

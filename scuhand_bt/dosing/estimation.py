@@ -64,8 +64,6 @@ AS_EXPECTED, SURPRISING = 0.9, 4.0
 """A squared innovation, in variances, that leaves it as it is; and from where on it counts no more."""
 FARTHEST = 5.0
 """An innovation of more standard deviations tells no more: one lump or one knock rules out no model."""
-LEAST_LIKELY = 1e-3
-"""Models less likely than this are dropped until the valve has been shut."""
 UNKNOWN_SPREAD = 1.5
 """Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
 
@@ -164,7 +162,7 @@ class Bank:
         changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
         now = np.add(self._passed[-1:], (row.dt_s, row.phi_s, row.slope_s))
         self._passed = np.concatenate((self._passed, now))
-        score, unexplained, k, came_mg, least = filters.take_in(
+        score, unexplained, k, came_mg = filters.take_in(
             self.held,
             *self._step(row.dt_s),
             self.pure * self.delays_s,
@@ -184,21 +182,10 @@ class Bank:
                 told = 1.0 - unexplained  # noise alone says nothing about lumps
                 self.surge_mg *= math.exp(SURGE_GAIN * told * more)
                 self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
-        if least < LEAST_LIKELY:
-            self._drop_unlikely()
         self._tell()
         if not math.isfinite(score + self.mass_mg + self.unseen_mg + self.coefficient + self.coefficient_sd):
             raise ArithmeticError(f"the dosing law can make no number of {row}")
         return score
-
-    def _drop_unlikely(self) -> None:
-        """Models that are out of the question."""
-        kept = self.weights > LEAST_LIKELY * self.weights.max()
-        self.weights = self.weights[kept] / self.weights[kept].sum()
-        self.delays_s, self.pure, self._damping = self.delays_s[kept], self.pure[kept], self._damping[kept]
-        self._step_of = {dt_s: _Step(*(part[kept] for part in step)) for dt_s, step in self._step_of.items()}
-        self._x, self._p = self._x[kept], self._p[kept]
-        self._phi, self._seen, self._unseen = self._phi[kept], self._seen[kept], self._unseen[kept]
 
     def _tell(self) -> None:
         """What is known after a reading: where each model is once it has seen what it has not yet, and all together."""

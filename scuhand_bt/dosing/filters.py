@@ -146,7 +146,7 @@ def carry(x: Array, p: Array, f: Array) -> None:
 
 
 @compiled(
-    f"UniTuple(f8, 5)({_FILTERS}, f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,::1], "
+    f"UniTuple(f8, 4)({_FILTERS}, f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,::1], "
     "UniTuple(f8, 4), f8, f8, f8, UniTuple(f8, 6), f8)"
 )
 def take_in(
@@ -163,7 +163,7 @@ def take_in(
     tells: float,
     assumed: tuple[float, float, float, float, float, float],
     farthest: float,
-) -> tuple[float, float, float, float, float]:
+) -> tuple[float, float, float, float]:
     """Take in a reading: x, p, unseen, weights, phi and seen are as they are after it.
 
     `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`, `late_s` (H,) how late models run. `passed` (R, 3) has the
@@ -171,8 +171,7 @@ def take_in(
     has seen, and `phi` (H,) what it was there. `most_sd` is of k, in its own unit, how unsure it can become; `tells`
     how much the reading tells of the balance. `row` is its time since the last one, itself, its noise, and by how much
     the opening was changed. Of the likeliest model: its innovation in standard deviations, the share of its
-    variance that is none of the powder's, k, and what has come since the last reading [mg]; and, as a share of the
-    greatest weight, the least.
+    variance that is none of the powder's, k, and what has come since the last reading [mg].
     """
     x, p, unseen, weights, _, surge_mg, misfit, _ = filters
     dt_s, reading_mg, noise_mg, changed = row
@@ -225,7 +224,7 @@ def take_in(
         square = innovations_mg[h] ** 2 / (common + noise_mg**2)
         weights[h] *= math.exp(-0.5 * tells * min(square, farthest**2))
     weights /= weights.sum()
-    return told[0], told[1], told[2], told[3], weights.min() / weights.max()
+    return told
 
 
 @compiled("f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1])")
