@@ -797,13 +797,14 @@ def test_no_mass_is_said_to_be_less_than_none(setup: Setup) -> None:
 def test_samples_that_come_out_alike_are_warned_of_once(setup: Setup, capsys: pytest.CaptureFixture[str]) -> None:
     lab = load_lab(setup.lab)
     odds = odds_of(make_plan(load_recipe(setup.recipe, lab), lab), [fake(seed, 300.0, "abc") for seed in range(3)])
-    alike, other = Chance(0.5, 0.4, 0.6, 4, 2), Chance(0.7, 0.6, 0.8, 4, 3)
-    tell_odds(replace(odds, samples={**{f"x-{n}": alike for n in range(1, 301)}, "y": other}))
+    alike, other, well = Chance(0.5, 0.4, 0.6, 4, 2), Chance(0.896, 0.8, 0.95, 44, 43), Chance(0.896, 0.8, 0.95, 4, 4)
+    tell_odds(replace(odds, samples={**{f"x-{n}": alike for n in range(1, 301)}, "y": other, "z": well}))
     warned = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Warning")]
     assert warned == [
         "Warning: x-1, x-2, x-3, …, x-300 (300 samples) are each in tolerance with a probability of 50% (40% to 60%).",
-        "Warning: y is in tolerance with a probability of 70% (60% to 80%).",
+        "Warning: y is in tolerance with a probability of 89.6% (80% to 95%).",
     ]
+    assert well.told == "90% (80% to 95%)", "of which nobody is warned"
 
 
 def test_what_is_varied_of_the_samples_is_judged_by_the_trials_that_asked_for_it(setup: Setup) -> None:

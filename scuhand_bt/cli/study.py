@@ -214,8 +214,8 @@ def tell_odds(odds: "Odds") -> None:
         alike.setdefault(odds.samples[name], []).append(name)
     for chance, names in alike.items():
         who = f"{names[0]} is" if len(names) == 1 else f"{listed(names, 'sample')} are each"
-        what = f"Warning: {who} in tolerance with a probability of {chance.probability:.0%}"
-        out.print(Text(f"{what} ({chance.low:.0%} to {chance.high:.0%})."), soft_wrap=True)
+        what = f"Warning: {who} in tolerance with a probability of {chance.told}"
+        out.print(Text(f"{what}."), soft_wrap=True)
     for what, count in odds.not_good.items():
         out.print(Text(f"{what}: {count:.2g} of a run's samples."))
 

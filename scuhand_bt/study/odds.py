@@ -17,6 +17,7 @@ from scipy.stats import beta, t
 
 from scuhand_bt.dosing.verdict import LIKELY
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.quantity import format_below
 from scuhand_bt.recipe.plan import PersonNeeded, Plan
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.study.trial import LEFTOVERS, Trial
@@ -69,6 +70,17 @@ class Chance:
     tried: int
     good: int
     """Of those that were tried."""
+
+    @property
+    def is_unlikely(self) -> bool:
+        """Whether it is to be warned of; that few were tried is no warning."""
+        return self.probability < LIKELY and self.good < self.tried
+
+    @property
+    def told(self) -> str:
+        """The probability and its interval, as a person reads them."""
+        middle = format_below(self.probability, LIKELY) if self.is_unlikely else f"{self.probability:.0%}"
+        return f"{middle} ({self.low:.0%} to {self.high:.0%})"
 
 
 @dataclass(frozen=True)
@@ -130,9 +142,8 @@ class Odds:
 
     @property
     def unlikely(self) -> list[str]:
-        """The samples that are to be warned of; that few were tried is no warning."""
-        tried = self.samples.items()
-        return [name for name, chance in tried if chance.probability < LIKELY and chance.good < chance.tried]
+        """The samples that are to be warned of."""
+        return [name for name, chance in self.samples.items() if chance.is_unlikely]
 
 
 def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> Odds:
