@@ -59,6 +59,10 @@ class Range:
     middle: float
     high: float
 
+    def no_earlier_than(self, other: "Range") -> "Range":
+        """Each of the three at least the other's."""
+        return Range(max(self.low, other.low), max(self.middle, other.middle), max(self.high, other.high))
+
 
 @dataclass(frozen=True)
 class Chance:
@@ -119,14 +123,19 @@ class Odds:
     def persons_s(self, plan: Plan) -> Iterator[tuple[PersonNeeded, Range | None]]:
         """Every moment of the plan that needs a person, and when.
 
-        Where no trial has asked for one in that job, when it begins, if any has begun it.
+        Where no trial has asked for one in that job, when it begins, if any has begun it. None is earlier than one
+        that comes before it, however few trials tell of the two.
         """
         before = Counter[str]()
+        last = Range(0.0, 0.0, 0.0)
         for person in plan.persons:
             job = person.job or ""
             moments = self.moments_s.get(job)
-            yield person, moments[before[job]] if moments is not None else self.began_s.get(job)
+            found = moments[before[job]] if moments is not None else self.began_s.get(job)
             before[job] += 1
+            if found is not None:
+                last = found = found.no_earlier_than(last)
+            yield person, found
 
     @property
     def tells_intervals(self) -> bool:
