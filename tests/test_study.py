@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -324,6 +325,33 @@ def test_a_cluster_without_a_worker_is_not_waited_for(cluster: SimpleNamespace) 
     cluster.client.wait_for_workers.side_effect = TimeoutError
     with pytest.raises(SourceError, match="--dask tcp://x: the scheduler has no worker"), executor_of(None, "tcp://x"):
         pass
+
+
+def test_that_all_workers_of_a_cluster_have_gone_is_told_each_time_once(
+    cluster: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A study waited without a word for ever."""
+    monkeypatch.setattr("scuhand_bt.study.cluster.LOOKS_S", 0.0)
+    some, none = {"tcp://a": 1}, dict[str, int]()
+    seen = [*[none] * 9, some, *[none] * 30, some, *[none] * 10]
+    told, when, is_lost = list[str](), list[int](), threading.Event()
+
+    def nthreads() -> dict[str, int]:
+        if not seen:
+            is_lost.set()
+            raise OSError("the scheduler is gone")
+        return seen.pop(0)
+
+    def tell(what: str) -> None:
+        told.append(what)
+        when.append(len(seen))
+
+    cluster.client.nthreads = nthreads
+    with executor_of(None, "tcp://x", tell):
+        assert is_lost.wait(10.0)
+    assert when == [31, 0]
+    assert told[0].startswith("--dask tcp://x: the cluster has no worker any more: it goes on when one comes")
+    assert told[0].endswith("Ctrl-C ends it, and the same command goes on with what was kept")
 
 
 NONE = ModuleNotFoundError("No module named 'scuhand_bt'")
