@@ -252,7 +252,7 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "`tare:` after `place_container`.",
         ),
         "no-container": _warning(
-            "A workflow weighs a container before one is on the pan; it will be refused.",
+            "A workflow needs a container on the pan before one was put there; it will be refused.",
             "`place_container:` before it.",
         ),
         "not-over-pan": _warning(

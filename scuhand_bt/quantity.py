@@ -232,6 +232,12 @@ def format_mass(mass_mg: float) -> str:
     return f"{mass_mg:.1f} mg" if abs(mass_mg) < 1000 else f"{mass_mg / 1000:.4f} g"
 
 
+def format_below(share: float, limit: float) -> str:
+    """A share that is below a limit: in whole percents, or rounded down to a tenth where those would say the limit."""
+    told = f"{share:.0%}"
+    return told if told != f"{limit:.0%}" else f"{math.floor(1000.0 * share) / 10.0:.1f}%"
+
+
 def format_duration(duration_s: float) -> str:
     """A duration as people read it: "42 s", "3 min 05 s", "2 h 10 min"."""
     if math.isinf(duration_s):

@@ -80,22 +80,26 @@ class PowderFlowSpec(Spec):
     """By so many grains a layer on a wall is thicker than it is heavy: beside walls grains lie less densely."""
 
 
+GAPS_MM = (0.01, 100.0)
+"""Openings above the threshold that a flow may be said to have been seen at."""
+
+
 class PowderBelief(Spec):
     """What controllers believe of a powder: a first guess in `robot/powders.yaml`, then learnt per lot.
 
-    The flow is q = coefficient (D - threshold)^exponent, in mg/s with D in mm.
+    The flow is q = coefficient (D - threshold)^exponent, in mg/s with D in mm. Beverloo's law has an exponent of 2.5.
     """
 
-    coefficient: Annotated[float, Field(gt=0, le=1e9)] = 70.0
+    coefficient: Annotated[float, Field(ge=1e-3, le=1e9)] = 70.0
     threshold_mm: Annotated[Millimetres, NotNegative] = 0.1
-    exponent: Annotated[float, Field(gt=0, le=10)] = 2.5
-    gap_mm: Annotated[Millimetres, Field(gt=0)] = 0.5
+    exponent: Annotated[float, Field(ge=0.5, le=10)] = 2.5
+    gap_mm: Annotated[Millimetres, Field(ge=GAPS_MM[0], le=GAPS_MM[1])] = 0.5
     """The opening above the threshold that the coefficient was seen at: at others the exponent counts, too."""
     narrowest_mm: Annotated[Millimetres, Field(gt=0)] = 0.05
     """Above the threshold: from less, little comes."""
     spread: Annotated[Ratio, Field(gt=0, le=3)] = 0.5
     """Relative standard deviation of the flow about that law, from one opening to the next."""
-    surge_mg: Annotated[Milligrams, NotNegative] = 0.3
+    surge_mg: Annotated[Milligrams, Field(ge=0, le=1e5)] = 0.3
     """Mass that may come at once, unasked."""
     erratic: Annotated[float, Field(ge=1)] = 3.0
     """By what factor the variance of the predictions of its mass turned out to be too small."""

@@ -40,11 +40,7 @@ def with_changer(lab: LabFolder, slots: str) -> None:
         (RECIPE, "24", ["in the order of the jobs: 2 pellet_die_13mm, 1 alumina_crucible, 1 pellet_die_13mm."]),
         (ALIKE + REDO, "24", ["in the order of the jobs: 4 pellet_die_13mm.", "put spare ones behind the last."]),
         (ALIKE + ASK, "24", ["in the order of the jobs: 4 pellet_die_13mm.", "put spare ones behind the last."]),
-        (
-            RECIPE,
-            "3",
-            ["the jobs, as many as it holds: 2 pellet_die_13mm, 1 alumina_crucible, 1 pellet_die_13mm."],
-        ),
+        (RECIPE, "3", ["the jobs, at first 3 of 4: 2 pellet_die_13mm, 1 alumina_crucible."]),
         (
             RECIPE,
             "{pellet_die_13mm: 2, alumina_crucible: 4}",

@@ -14,9 +14,10 @@ from scuhand_bt.dosing.adaptive import Adaptive, Ended
 from scuhand_bt.dosing.constraint import NARROWEST_MM
 from scuhand_bt.dosing.controller import Command, Doubt
 from scuhand_bt.dosing.knowledge import SLACK_S, Knowledge
+from scuhand_bt.dosing.opening import Opening
 from scuhand_bt.dosing.unseen import SEEN_S, STUCK_MM, begins_mm, seen_s, stuck_mg
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
-from scuhand_bt.specs import BalanceBelief, PowderBelief
+from scuhand_bt.specs import GAPS_MM, BalanceBelief, PowderBelief
 
 BEADS = shipped_powders()["glass_beads"].belief
 QUICK = BalanceBelief(lag_s=0.05, doubt=0.08, fits=3, noise_mg=0.05)
@@ -150,6 +151,31 @@ def test_what_a_dose_has_taught_is_kept_with_what_was_known_before() -> None:
     assert finish.powder.doses == 4
     assert finish.powder.spread > BEADS.spread, "doses differ by more than was believed"
     assert finish.powder.vibration == BEADS.vibration
+
+
+@pytest.mark.parametrize("exponent", [0.5, 10.0])
+@pytest.mark.parametrize("gap_mm", GAPS_MM)
+@pytest.mark.parametrize("coefficient", [1e-3, 1e9])
+@pytest.mark.parametrize("surge_mg", [0.0, 1e5])
+def test_of_the_farthest_beliefs_numbers_are_made(
+    exponent: float, gap_mm: float, coefficient: float, surge_mg: float
+) -> None:
+    """An exponent of 0.01, or a gap of a micrometre, ended a run with an OverflowError."""
+    figures = {"exponent": exponent, "gap_mm": gap_mm, "coefficient": coefficient, "surge_mg": surge_mg}
+    for doses in (0, 3):
+        belief = PowderBelief.model_validate({"doses": doses, **figures}, by_name=True)
+        known = Knowledge(request(powder=belief))
+        assert known.least_mm <= begins_mm(known, 1.0) <= known.request.max_opening_mm
+        assert math.isfinite(Opening(known, 1.0, known.surge_mg).width_mm())
+
+
+def test_what_is_learnt_of_an_opening_may_be_believed() -> None:
+    powder = BEADS.model_copy(update={"exponent": 0.5, "coefficient": 1e5, "doses": 3})
+    known = Knowledge(request(powder=powder))
+    Scale(known, powder.coefficient).opening(powder.threshold_mm + 0.05, 0.1)
+    kept = known.finish("reached", Observation(9.0, 0.0, 0.05, True)).powder
+    assert kept is not None
+    assert kept.gap_mm == GAPS_MM[0], "the valve was that wide for a part of a reading only"
 
 
 def test_the_first_dose_replaces_a_guess() -> None:

@@ -206,6 +206,31 @@ def test_each_moment_of_a_job_comes_when_dry_runs_have_asked_for_it(plan: Plan) 
     assert said.endswith(" (1 moment).")
 
 
+def test_no_moment_is_told_to_be_over_before_one_that_comes_before_it(plan: Plan) -> None:
+    """Of few dry runs that differ at first the second one was over by 17:26, and the first by 17:56."""
+    swap = next(person for person in plan.persons if person.job is not None)
+    job, whole = str(swap.job), trial_of(plan, 600.0)
+    made = replace(plan, persons=(swap, replace(swap, what="b"), replace(swap, what="c")))
+    asked_s = [[[at_s, at_s], [4000.0 + at_s / 1e4, 4000.0], [9000.0, 9000.0]] for at_s in (1000.0, 2000.0, 3900.0)]
+    odds = odds_of(made, [replace(whole, asked_s={job: spans}) for spans in asked_s])
+    first, second, third = (when for _, when in odds.persons_s(made) if when is not None)
+    assert odds.moments_s[job][1].high < first.high, "by itself"
+    assert second.low > first.low
+    assert (second.middle, second.high) == (odds.moments_s[job][1].middle, first.high)
+    assert third.high == first.high, "nor any behind it"
+
+
+def test_no_moment_is_told_to_come_before_one_that_comes_before_it(plan: Plan) -> None:
+    swap = next(person for person in plan.persons if person.job is not None)
+    job, whole = str(swap.job), trial_of(plan, 600.0)
+    made = replace(plan, persons=(swap, replace(swap, what="b")))
+    asked_s = [[[1000.0, 1000.0], [at_s, at_s]] for at_s in (1001.0, 1010.0, 3000.0)]
+    odds = odds_of(made, [replace(whole, asked_s={job: spans}) for spans in asked_s])
+    first, second = (when for _, when in odds.persons_s(made) if when is not None)
+    assert odds.moments_s[job][1].low < first.low, "by itself"
+    assert (second.low, second.high) == (first.low, odds.moments_s[job][1].high)
+
+
 def test_a_plan_that_needs_nobody_says_nothing_of_stays(desk: Desk) -> None:
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
     assert not list(stays_in_words(plan, odds_of(plan, [trial_of(plan, 600.0)] * 8), None))

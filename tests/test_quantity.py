@@ -105,6 +105,12 @@ def test_what_is_formatted_as_a_mass_reads_back(mass_mg: float) -> None:
     assert parse(quantity.format_mass(mass_mg), MASS) == pytest.approx(mass_mg, abs=0.051)
 
 
+def test_what_is_below_a_limit_is_shown_below_it() -> None:
+    shares = (0.5, 0.894, 0.8949, 0.895, 0.896, 0.89999)
+    told = ["50%", "89%", "89%", "89.5%", "89.6%", "89.9%"]
+    assert [quantity.format_below(share, 0.9) for share in shares] == told
+
+
 def test_durations_are_shown_as_people_say_them() -> None:
     assert [quantity.format_duration(s) for s in (42, 59.6, 185, 7800)] == [
         "42 s",

@@ -14,6 +14,7 @@ from scuhand_bt.journal.archive import Summary, summaries
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.run_events import Ended, Resumed
 from scuhand_bt.journal.writer import Journal
+from scuhand_bt.lab_state.ledger import Ledger
 from scuhand_bt.run.resume import find_run
 from tests.test_journal import write_run
 
@@ -156,6 +157,26 @@ def test_a_run_that_is_about_to_begin_is_said_to_be(tmp_path: Path, made: str, c
         journal.close()
     (listed,) = summaries(path.parent)
     assert listed.state == ("unreadable" if journal is None else "interrupted"), "of which nothing came"
+
+
+def test_a_run_that_ended_before_anything_was_written_down_is_not_said_to_be_altered(
+    tmp_path: Path, command: Call
+) -> None:
+    """Its journal is as empty as one of which all was deleted; of that the ledger knows."""
+    lab = make_lab(tmp_path / "lab")
+    state = lab / ".scuhand"
+    Journal(state / "runs" / "gone.sqlite", durable=False).close()
+    for looks in ("show", "verify", "audit", "report"):
+        looked = command(looks, "gone", "--lab", lab)
+        assert looked.returncode == 2, looks
+        assert "the run was ended before anything was written down, and nothing had moved" in looked.stderr
+    assert "interrupted: it had not begun" in command("runs", "--lab", lab).stdout
+    assert command("backup", tmp_path / "lab.zip", "--lab", lab).returncode == 0
+    assert command("restore", tmp_path / "lab.zip", tmp_path / "again").returncode == 0
+    Ledger(state).add("gone", "begun", 3, "00" * 32, durable=False)
+    for looks in ("show", "verify"):
+        looked = command(looks, "gone", "--lab", lab)
+        assert (looked.returncode, "there is no entry" in looked.stderr) == (3, True), looks
 
 
 def test_the_last_run_is_the_one_that_goes_on_though_another_has_ended_meanwhile(runs: Path) -> None:

@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -324,6 +325,33 @@ def test_a_cluster_without_a_worker_is_not_waited_for(cluster: SimpleNamespace) 
     cluster.client.wait_for_workers.side_effect = TimeoutError
     with pytest.raises(SourceError, match="--dask tcp://x: the scheduler has no worker"), executor_of(None, "tcp://x"):
         pass
+
+
+def test_that_all_workers_of_a_cluster_have_gone_is_told_each_time_once(
+    cluster: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A study waited without a word for ever."""
+    monkeypatch.setattr("scuhand_bt.study.cluster.LOOKS_S", 0.0)
+    some, none = {"tcp://a": 1}, dict[str, int]()
+    seen = [*[none] * 9, some, *[none] * 30, some, *[none] * 10]
+    told, when, is_lost = list[str](), list[int](), threading.Event()
+
+    def nthreads() -> dict[str, int]:
+        if not seen:
+            is_lost.set()
+            raise OSError("the scheduler is gone")
+        return seen.pop(0)
+
+    def tell(what: str) -> None:
+        told.append(what)
+        when.append(len(seen))
+
+    cluster.client.nthreads = nthreads
+    with executor_of(None, "tcp://x", tell):
+        assert is_lost.wait(10.0)
+    assert when == [31, 0]
+    assert told[0].startswith("--dask tcp://x: the cluster has no worker any more: it goes on when one comes")
+    assert told[0].endswith("Ctrl-C ends it, and the same command goes on with what was kept")
 
 
 NONE = ModuleNotFoundError("No module named 'scuhand_bt'")
@@ -797,13 +825,14 @@ def test_no_mass_is_said_to_be_less_than_none(setup: Setup) -> None:
 def test_samples_that_come_out_alike_are_warned_of_once(setup: Setup, capsys: pytest.CaptureFixture[str]) -> None:
     lab = load_lab(setup.lab)
     odds = odds_of(make_plan(load_recipe(setup.recipe, lab), lab), [fake(seed, 300.0, "abc") for seed in range(3)])
-    alike, other = Chance(0.5, 0.4, 0.6, 4, 2), Chance(0.7, 0.6, 0.8, 4, 3)
-    tell_odds(replace(odds, samples={**{f"x-{n}": alike for n in range(1, 301)}, "y": other}))
+    alike, other, well = Chance(0.5, 0.4, 0.6, 4, 2), Chance(0.896, 0.8, 0.95, 44, 43), Chance(0.896, 0.8, 0.95, 4, 4)
+    tell_odds(replace(odds, samples={**{f"x-{n}": alike for n in range(1, 301)}, "y": other, "z": well}))
     warned = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Warning")]
     assert warned == [
         "Warning: x-1, x-2, x-3, …, x-300 (300 samples) are each in tolerance with a probability of 50% (40% to 60%).",
-        "Warning: y is in tolerance with a probability of 70% (60% to 80%).",
+        "Warning: y is in tolerance with a probability of 89.6% (80% to 95%).",
     ]
+    assert well.told == "90% (80% to 95%)", "of which nobody is warned"
 
 
 def test_what_is_varied_of_the_samples_is_judged_by_the_trials_that_asked_for_it(setup: Setup) -> None:

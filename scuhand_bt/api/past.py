@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from scuhand_bt.journal.archive import (
 from scuhand_bt.journal.copies import make_one_file
 from scuhand_bt.journal.export import canonical_of
 from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.hash_chain import NO_ENTRY, Verified
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import Held, is_held
 from scuhand_bt.journal.reader import Contents, open_contents, open_verified
@@ -28,6 +29,7 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.run_events import Ended, Resumed, RunBegun
 from scuhand_bt.journal.telling import EVENTS, RunEvent, event_of
 from scuhand_bt.lab import find_state
+from scuhand_bt.lab_state.ledger import Ledger
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.run.resume import find_run as journal_named
 
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 
 
 SILENT = "it does not answer"
+NEVER_WAS = "the run was ended before anything was written down, and nothing had moved: start it anew"
 _KINDS = tuple(event.KIND for event in (RunBegun, SampleResult, Ended, Resumed))
 _TOLD = f"SELECT kind, payload FROM entry WHERE kind IN ({', '.join('?' * len(_KINDS))}) ORDER BY seq"
 
@@ -84,12 +87,19 @@ class PastRun:
         """Where its journal is no longer as it was written; None for one that is."""
         self._require_begun()
         with open_verified(self.path) as (_, _, verified):
-            return verified.problem
+            return None if self._never_was(verified) else verified.problem
 
-    def opened(self, head: str | None = None) -> AbstractContextManager[Contents]:
-        """All that its journal holds, verified: what reports and proofs are made of. `head`: what its chain ends in."""
+    @contextmanager
+    def opened(self, head: str | None = None) -> Iterator[Contents]:
+        """All that its journal holds, verified: what reports and proofs are made of. `head`: what its chain ends in.
+
+        Also SourceError for a run that was ended before anything was written down.
+        """
         self._require_begun()
-        return open_contents(self.path, head)
+        with open_contents(self.path, head) as contents:
+            if self._never_was(contents.verified):
+                raise SourceError([Problem(Mark(str(self.path)), NEVER_WAS)])
+            yield contents
 
     def result(self) -> Result:
         """What it came to, or has come to until now: as `dry_run` and `run` give it, without their notices."""
@@ -191,6 +201,10 @@ class PastRun:
                 what = f"the journal is not as it was written: {problem}"
                 raise SourceError([Problem(Mark(str(self.path)), what)])
             yield contents
+
+    def _never_was(self, verified: Verified) -> bool:
+        """Whether nothing was ever written down: the ledger has a line of every run that has a first entry."""
+        return verified.problem == NO_ENTRY and not Ledger(self.state).verified().of(self.id)
 
     def _require_begun(self) -> None:
         if self.is_about_to_begin:

@@ -102,7 +102,7 @@ def study(
         if varied is None:
             raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
         check_setups([replace(setup, changes=changes) for changes in varied.ends()])
-        with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
+        with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask, _tell) as executor:
             seeds = range(first_seed, first_seed + trials)
             _propose(setup, varied, optimise, seeds, executor, kept, as_json=as_json)
         return
@@ -114,7 +114,7 @@ def study(
         check_setups(ends_of(apart))
     tasks = [(draw, seed) for draw in apart for seed in range(first_seed, first_seed + trials)]
     found: dict[Task, Trial] = {}
-    with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask) as executor:
+    with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask, _tell) as executor:
         going = all_trials(tasks, executor, kept)
         for task, one in as_they_end(going, len(tasks)):
             found[task] = one
@@ -140,6 +140,10 @@ def as_they_end(going: "Iterator[tuple[Task, Trial]]", many: int) -> "Iterator[t
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("left"))
     with Progress(TextColumn("dry runs"), *columns, console=err, disable=not err.is_terminal) as progress:
         yield from progress.track(going, many)
+
+
+def _tell(what: str) -> None:
+    err.print(Text(f"{what}."), soft_wrap=True)
 
 
 @contextmanager
@@ -214,8 +218,8 @@ def tell_odds(odds: "Odds") -> None:
         alike.setdefault(odds.samples[name], []).append(name)
     for chance, names in alike.items():
         who = f"{names[0]} is" if len(names) == 1 else f"{listed(names, 'sample')} are each"
-        what = f"Warning: {who} in tolerance with a probability of {chance.probability:.0%}"
-        out.print(Text(f"{what} ({chance.low:.0%} to {chance.high:.0%})."), soft_wrap=True)
+        what = f"Warning: {who} in tolerance with a probability of {chance.told}"
+        out.print(Text(f"{what}."), soft_wrap=True)
     for what, count in odds.not_good.items():
         out.print(Text(f"{what}: {count:.2g} of a run's samples."))
 

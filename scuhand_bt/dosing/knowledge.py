@@ -26,7 +26,7 @@ from scuhand_bt.dosing.identification import LEAST_APART_S, Row, balance_by, wit
 from scuhand_bt.dosing.noise import Noise
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, acceptance_mg, judge
-from scuhand_bt.specs import PowderBelief, Verdict
+from scuhand_bt.specs import GAPS_MM, PowderBelief, Verdict
 
 SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
@@ -359,7 +359,7 @@ class Knowledge:
         return PowderBelief(
             coefficient=belief.coefficient * math.exp(weight * ratio),
             threshold_mm=belief.threshold_mm,
-            gap_mm=gap_mm,
+            gap_mm=float(np.clip(gap_mm, *GAPS_MM)),
             narrowest_mm=self._needed_mm,
             exponent=belief.exponent,
             spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),

@@ -23,11 +23,11 @@ def changer_lines(plan: Plan, cell: CellSpec) -> Iterator[str]:
         ]
         order, taken, behind = "each kind in its slots", "the next container of its kind", "each kind"
     else:
-        of_kinds = [f"{len(list(group))} {kind}" for kind, group in groupby(kinds)]
-        order, taken = "in the order of the jobs", "the next container, and each sample behind it the one after its own"
-        behind = "the last"
-    at_first = ", as many as it holds" if not changer.kinds and len(kinds) > changer.slots_for("") else ""
-    yield f"In the changer, {order}{at_first}: {listed(of_kinds, 'group')}."
+        slots = changer.slots_for("")
+        of_kinds = [f"{len(list(group))} {kind}" for kind, group in groupby(kinds[:slots])]
+        order = "in the order of the jobs" + (f", at first {slots} of {len(kinds)}" if len(kinds) > slots else "")
+        taken, behind = "the next container, and each sample behind it the one after its own", "the last"
+    yield f"In the changer, {order}: {listed(of_kinds, 'group')}."
     if plan.recipe.redone:
         yield f"A sample that is done once more takes {taken}: put spare ones behind {behind}."
 

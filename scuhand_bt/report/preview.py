@@ -99,7 +99,7 @@ def _jobs(plan: Plan, odds: Odds) -> Iterator[dict[str, Any]]:
                 mass,
                 f"± {tolerance}" if tolerance else "",
                 _when(odds.began_s.get(job.name)),
-                f"{chance.probability:.0%} ({chance.low:.0%} to {chance.high:.0%})" if chance is not None else "",
+                chance.told if chance is not None else "",
             ],
         }
 

@@ -20,7 +20,7 @@ from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError
 from scuhand_bt.program import source_digest
-from scuhand_bt.quantity import format_mass
+from scuhand_bt.quantity import format_below, format_mass
 from scuhand_bt.recipe.demand import needed_mg
 from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
 from scuhand_bt.recipe.pour import each_of
@@ -216,7 +216,8 @@ def _check_odds(recipe: Recipe, problems: Problems) -> None:
             told.add((powder.name, tolerance_mg))
             if (chance := chance_with_lumps(tolerance_mg, powder.lump_mg)) < LIKELY:
                 lumps = f"{powder.name} comes in lumps of some {powder.lump_mg:g} mg"
-                what = f"about {chance:.0%} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
+                share = format_below(chance, LIKELY)
+                what = f"about {share} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
                 remedy = "ask for a wider tolerance, or see the odds by `plan`"
                 problems.warn(_tolerance_mark(recipe, sample), what, remedy, code="unlikely")
 

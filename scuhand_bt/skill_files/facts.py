@@ -50,6 +50,8 @@ class SkillFacts:
     """It asks a person (`cell.operator`)."""
     places: bool
     """It puts a container on the pan (`cell.believed.placed`)."""
+    uses: bool
+    """It fails without a container on the pan, which it does not put there itself."""
     hovers: bool
     """It goes to the place over a container (`over_balance`)."""
 
@@ -63,13 +65,17 @@ def facts_of(skill: type[Skill[Any]], syntax: Syntax, shared: Iterable[str]) -> 
     # `station_of_kind("park")`, or kinds of stations in turn, and it is the last of them.
     asked = [node.args for node in calls if isinstance(node.func, ast.Attribute)]
     in_turn = [node.elts[-1:] for node in nodes if isinstance(node, ast.Tuple)]
+    places = "placed" in methods
+    hovers = "arm" in skill.devices and any(isinstance(node, ast.Name) and node.id == OVER for node in nodes)
+    is_at_pan = hovers or "balance" in skill.devices  # a scanner misses a container that is elsewhere, too
     return SkillFacts(
         raised=frozenset({*raised_codes(syntax, ""), *skill.raises, *skill.failures, *(shared if uses_shared else ())}),
         tares="tared" in methods,
         parks=any(isinstance(one, ast.Constant) and one.value == PARK for each in (*asked, *in_turn) for one in each),
         asks="ask" in methods,
-        places="placed" in methods,
-        hovers="arm" in skill.devices and any(isinstance(node, ast.Name) and node.id == OVER for node in nodes),
+        places=places,
+        uses=Code.CONTAINER_MISSING in skill.raises and is_at_pan and not places,
+        hovers=hovers,
     )
 
 

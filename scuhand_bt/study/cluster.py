@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
 from functools import partial
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import scuhand_bt
@@ -24,6 +25,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 OURS = f"scuhand-bt {scuhand_bt.__version__}"
 GOES_ON = "the same command goes on with what was kept"
+LOOKS_S, ALONE_LOOKS = 1.0, 10
+"""It is looked so often whether the cluster has a worker; without one so many times, that is told."""
 
 
 class _Sent:
@@ -61,8 +64,8 @@ class _Cluster(Executor):
 
 
 @contextmanager
-def workers_of(address: str) -> Iterator[Executor]:
-    """The workers of the Dask scheduler at an address.
+def workers_of(address: str, tell: Callable[[str], None]) -> Iterator[Executor]:
+    """The workers of the Dask scheduler at an address. `tell` is told, in a thread of its own, that all have gone.
 
     SourceError where Dask is not installed, does not answer, has no worker or goes away, and for every worker that has
     not this program: before the first trial, or when one that has come later takes a trial.
@@ -82,7 +85,7 @@ def workers_of(address: str) -> Iterator[Executor]:
         with client:
             _require_workers(client, mark)
             try:
-                with client.get_executor() as dask:
+                with client.get_executor() as dask, _watched(client, address, tell):
                     yield _Cluster(dask)
             except ImportError as error:
                 _require_same(client, mark)
@@ -91,6 +94,31 @@ def workers_of(address: str) -> Iterator[Executor]:
     except (CancelledError, KilledWorker) as error:
         problem = f"the cluster was lost ({type(error).__name__}); {GOES_ON}"
         raise SourceError([Problem(mark, problem)]) from None
+
+
+@contextmanager
+def _watched(client: "Client", address: str, tell: Callable[[str], None]) -> Iterator[None]:
+    """Trials wait for ever for the next worker, and Dask says nothing of it."""
+    is_over = Event()
+
+    def look() -> None:
+        alone = 0
+        while not is_over.wait(LOOKS_S):
+            try:
+                alone = 0 if client.nthreads() else alone + 1
+            except (OSError, RuntimeError, CancelledError):  # the cluster was lost, which the trials tell
+                return
+            if alone == ALONE_LOOKS:
+                waits = f"the cluster has no worker any more: it goes on when one comes (`dask worker {address}`)"
+                tell(f"--dask {address}: {waits}; Ctrl-C ends it, and {GOES_ON}")
+
+    thread = Thread(target=look, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join(LOOKS_S)  # before the client is closed
 
 
 def _require_workers(client: "Client", mark: Mark) -> None:

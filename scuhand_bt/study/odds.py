@@ -17,6 +17,7 @@ from scipy.stats import beta, t
 
 from scuhand_bt.dosing.verdict import LIKELY
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.quantity import format_below
 from scuhand_bt.recipe.plan import PersonNeeded, Plan
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.study.trial import LEFTOVERS, Trial
@@ -58,6 +59,10 @@ class Range:
     middle: float
     high: float
 
+    def no_earlier_than(self, other: "Range") -> "Range":
+        """Each of the three at least the other's."""
+        return Range(max(self.low, other.low), max(self.middle, other.middle), max(self.high, other.high))
+
 
 @dataclass(frozen=True)
 class Chance:
@@ -69,6 +74,17 @@ class Chance:
     tried: int
     good: int
     """Of those that were tried."""
+
+    @property
+    def is_unlikely(self) -> bool:
+        """Whether it is to be warned of; that few were tried is no warning."""
+        return self.probability < LIKELY and self.good < self.tried
+
+    @property
+    def told(self) -> str:
+        """The probability and its interval, as a person reads them."""
+        middle = format_below(self.probability, LIKELY) if self.is_unlikely else f"{self.probability:.0%}"
+        return f"{middle} ({self.low:.0%} to {self.high:.0%})"
 
 
 @dataclass(frozen=True)
@@ -107,14 +123,19 @@ class Odds:
     def persons_s(self, plan: Plan) -> Iterator[tuple[PersonNeeded, Range | None]]:
         """Every moment of the plan that needs a person, and when.
 
-        Where no trial has asked for one in that job, when it begins, if any has begun it.
+        Where no trial has asked for one in that job, when it begins, if any has begun it. None is earlier than one
+        that comes before it, however few trials tell of the two.
         """
         before = Counter[str]()
+        last = Range(0.0, 0.0, 0.0)
         for person in plan.persons:
             job = person.job or ""
             moments = self.moments_s.get(job)
-            yield person, moments[before[job]] if moments is not None else self.began_s.get(job)
+            found = moments[before[job]] if moments is not None else self.began_s.get(job)
             before[job] += 1
+            if found is not None:
+                last = found = found.no_earlier_than(last)
+            yield person, found
 
     @property
     def tells_intervals(self) -> bool:
@@ -130,9 +151,8 @@ class Odds:
 
     @property
     def unlikely(self) -> list[str]:
-        """The samples that are to be warned of; that few were tried is no warning."""
-        tried = self.samples.items()
-        return [name for name, chance in tried if chance.probability < LIKELY and chance.good < chance.tried]
+        """The samples that are to be warned of."""
+        return [name for name, chance in self.samples.items() if chance.is_unlikely]
 
 
 def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> Odds:

@@ -30,8 +30,12 @@ class _Processes(ProcessPoolExecutor):
 
 
 @contextmanager
-def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
+def executor_of(
+    workers: int | None, dask: str | None, tell: Callable[[str], None] = lambda what: None
+) -> Iterator[Executor]:
     """So many new processes, as many as there are cores if None; or the Dask scheduler at an address.
+
+    `tell` is told, in another thread, what holds up a cluster that was not lost.
 
     SourceError as `workers_of` it, and where one of the processes was killed.
     """
@@ -45,7 +49,7 @@ def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
             problem = f"{which} was killed, as for want of memory: {fewer}try again"
             raise SourceError([Problem(Mark("--workers", 0), problem)]) from None
         return
-    with workers_of(dask) as cluster, _ends_at_once(cluster):
+    with workers_of(dask, tell) as cluster, _ends_at_once(cluster):
         yield cluster
 
 

@@ -50,10 +50,10 @@ class Need:
 
 NEEDS = (
     Need(
-        "tare",
+        "use",
         "place",
         "no-container",
-        "'{}' weighs a container, and none was put on the pan",
+        "'{}' needs a container on the pan, and none was put there",
         "`place_container:` before it",
     ),
     Need(
@@ -308,7 +308,7 @@ class Lint:
         facts = self.library.facts.get(name)
         if facts is None:
             return frozenset()
-        does = {"place": facts.places, "tare": facts.tares, "hover": facts.hovers}
+        does = {"place": facts.places, "use": facts.uses, "tare": facts.tares, "hover": facts.hovers}
         doses = DOSING.issubset(self.library.skills[name].devices)
         return frozenset(word for word, is_done in {**does, "dose": doses}.items() if is_done)
 
