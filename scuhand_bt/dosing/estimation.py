@@ -75,15 +75,6 @@ class Model(NamedTuple):
     shape: str
 
 
-class _Step(NamedTuple):
-    """What a time does to each of H models."""
-
-    still: Array
-    """(H, 5, 5) of `transitions`."""
-    adds: Array
-    """(H, 5) of `transitions`."""
-
-
 class Bank:
     """The filters side by side, H of them: weights (H,), states (H, 5), covariances (H, 5, 5)."""
 
@@ -94,7 +85,7 @@ class Bank:
         self.weights = weights / weights.sum()
         self.delays_s = np.array([model.delay_s for model in models])
         self.pure, self._damping = np.array([SHAPES[model.shape] for model in models]).T
-        self._step_of: dict[float, _Step] = {}
+        self._transitions: dict[float, tuple[Array, Array]] = {}
         self.temper = TEMPER
         """0 where how late the balance has been says nothing of how late it is when less comes."""
         self.erratic = 1.0
@@ -139,11 +130,11 @@ class Bank:
         self._passed = np.zeros((1, 3))  # the time of each reading, and both integrals until then
         self._tell()
 
-    def _step(self, dt_s: float) -> _Step:
+    def _over(self, dt_s: float) -> tuple[Array, Array]:
         dt_s = round(dt_s, 3)
-        if dt_s not in self._step_of:
-            self._step_of[dt_s] = _Step(*transitions(self.delays_s, self.pure, self._damping, dt_s))
-        return self._step_of[dt_s]
+        if dt_s not in self._transitions:
+            self._transitions[dt_s] = transitions(self.delays_s, self.pure, self._damping, dt_s)
+        return self._transitions[dt_s]
 
     @property
     def held(self) -> filters.Filters:
@@ -164,7 +155,7 @@ class Bank:
         self._passed = np.concatenate((self._passed, now))
         score, unexplained, k, came_mg = filters.take_in(
             self.held,
-            *self._step(row.dt_s),
+            *self._over(row.dt_s),
             self.pure * self.delays_s,
             self._phi,
             self._seen,

@@ -82,7 +82,6 @@ class Session:
         substitutes: Substitutes | None = None,
     ) -> None:
         check_controller(options.controller)
-        dosing.prepare()
         if options.unattended:
             check_unattended(plan)
         self.plan = plan
@@ -109,6 +108,7 @@ class Session:
         stock = self._records.stock
         self._conflicts = [*about_vessels(plan, stock)] if self._is_taken_up else conflicts(plan, lab.cell, stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
+        dosing.prepare()
         with ExitStack() as opened:
             self._holds = opened.enter_context(ExitStack())
             presence = resumes.presence if resumes is not None else None

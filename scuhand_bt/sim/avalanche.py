@@ -52,8 +52,11 @@ def flow(
                 at = many[odd, way]
                 pairs[odd, way, at], limits_mm[odd, way, at] = a, slope * apart_mm[way]
                 many[odd, way] += 1
+    before_mm = np.empty(count)
     for sweep in range(sweeps):
-        before_mm = thick_mm.copy()
+        is_looked_at = sweep % checked == 0
+        if is_looked_at:
+            before_mm[:] = thick_mm
         for odd in range(2):
             for way in range(ways):
                 for at in range(many[odd, way]):
@@ -66,5 +69,5 @@ def flow(
                     surface_mm[a] -= goes_mm
                     thick_mm[b] += goes_mm
                     surface_mm[b] += goes_mm
-        if sweep % checked == 0 and np.abs(thick_mm - before_mm).max() < at_rest_mm:
+        if is_looked_at and np.abs(thick_mm - before_mm).max() < at_rest_mm:
             return
