@@ -130,7 +130,7 @@ def widest(
 
 @compiled("void(f8[::1], f8[:,::1], f8[:,::1])")
 def carry(x: Array, p: Array, f: Array) -> None:
-    """A state (5,) and its covariance (5, 5) over a transition f (3, 5), without k and g, which stay: f x, and f p f'."""
+    """A state (5,) and its covariance (5, 5) over a transition f (3, 5), without k and g, which stay: f x, f p f'."""
     y, rate, mass, k, g = x
     for i in range(K):
         x[i] = f[i, 0] * y + f[i, 1] * rate + f[i, 2] * mass + f[i, 3] * k + f[i, 4] * g
