@@ -63,7 +63,7 @@ def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
     misfit, until = misfits.sum(axis=1), misfits.cumsum(axis=1)
     late = float((until.min(axis=0) + (misfit[:, None] - until).min(axis=0)).min())
     back = _missing(sound, times_s - times_s[:, None])  # (T, N): a zero that goes back with each of the readings
-    top, below = (off_mg / variances) @ back.T, (1.0 / variances) @ (back**2).T
+    top, below = _summed(off_mg / variances, back), _summed(1.0 / variances, back**2)
     steps_mg = top / np.maximum(below, 1e-12)
     left = misfit[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)
     best = np.unravel_index(int(left.argmin()), left.shape)
@@ -93,6 +93,12 @@ def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], cam
     design = np.column_stack((comes + pushes, np.ones(len(at_s)), -np.ones(len(at_s))))
     masses_mg, _ = nnls(design, shown_mg)
     return fallen_mg(list(shown_mg - design @ masses_mg))
+
+
+def _summed(weights: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(D, N) by (T, N): (D, T). Not by BLAS, whose threads cost more than they bring to so few."""
+    summed: NDArray[np.float64] = np.einsum("dn,tn->dt", weights, shares)
+    return summed
 
 
 def _missing(step: Step, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
