@@ -15,6 +15,7 @@ the transition is exact. A model's weight is how likely it makes the readings.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -98,17 +99,8 @@ class Bank:
 
         That it was set faster is never assumed: so it looks when a sheet that stuck lets out more than was expected.
         """
-        if balance.fits == 0:
-            models = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
-            return cls(models, np.ones(len(models)), surge_mg, balance.misfit)
-        far = np.array(NEAR) * max(balance.doubt, LEAST_DOUBT)
-        near = [Model(2.0 * balance.lag_s * math.exp(step), shape) for shape in SHAPES for step in far]
-        others = (1.0 - SAME_SHAPE) / (len(SHAPES) - 1)
-        shares = np.array([SAME_SHAPE if shape == balance.shape else others for shape in SHAPES])
-        ours = np.outer(shares, np.exp(-0.5 * np.square(NEAR))).ravel()
-        slower = [Model(delay_s, balance.shape) for delay_s in DELAYS_S if delay_s > 2.0 * balance.lag_s * SET_SLOWER]
-        weights = np.append((1.0 - CHANGED) * ours / ours.sum(), np.full(len(slower), CHANGED / max(len(slower), 1)))
-        return cls([*near, *slower], weights, surge_mg, balance.misfit)
+        shape, doubt = balance.shape if balance.fits else None, max(balance.doubt, LEAST_DOUBT)
+        return cls(*_thinkable(balance.lag_s, doubt, shape, SAME_SHAPE), surge_mg, balance.misfit)
 
     def restart(
         self, mass_mg: float, sd_mg: float, coefficient: float, spread: float, error_mm: float = OPENING_ERROR_MM
@@ -208,3 +200,21 @@ class Bank:
     def chance(self, phi_s: float, slope_s: float, most_mg: float) -> float:
         """The probability that more than `most_mg` will have left then."""
         return filters.chance(self.held, phi_s, slope_s, most_mg)
+
+
+@lru_cache(maxsize=16)  # as costly as five readings, and asked for at every opening
+def _thinkable(lag_s: float, doubt: float, shape: str | None, surely: float) -> tuple[Sequence[Model], Array]:
+    """The models (H) of a balance that is believed to be so, of an unknown one where it has no shape; weights (H,).
+
+    `surely` is how probably the shape is its own.
+    """
+    if shape is None:
+        models = [Model(delay_s, kind) for kind in SHAPES for delay_s in DELAYS_S]
+        return models, np.ones(len(models))
+    near = [Model(2.0 * lag_s * math.exp(step * doubt), kind) for kind in SHAPES for step in NEAR]
+    others = (1.0 - surely) / (len(SHAPES) - 1)
+    shares = np.array([surely if kind == shape else others for kind in SHAPES])
+    ours = np.outer(shares, np.exp(-0.5 * np.square(NEAR))).ravel()
+    slower = [Model(delay_s, shape) for delay_s in DELAYS_S if delay_s > 2.0 * lag_s * SET_SLOWER]
+    weights = np.append((1.0 - CHANGED) * ours / ours.sum(), np.full(len(slower), CHANGED / max(len(slower), 1)))
+    return [*near, *slower], weights
