@@ -50,6 +50,7 @@ class SimulatedBalance:
         self.spec = spec
         self.identity = "simulated"
         self.news = Signal()
+        self._calm = Signal()  # its news but for readings that are not stable
         self.latest: Reading | None = None
         self.on_reading: Callable[[Reading], None] | None = None
         self.is_stopped = True
@@ -90,15 +91,13 @@ class SimulatedBalance:
             if self._clock.now_s >= deadline_s:
                 raise SkillFailed(Code.DEVICE_LOST, f"the balance sent nothing for {timeout_s:g} s")
             yield Wake(deadline_s, self.news, seen)
-        if (fault := self.fault) is not None:
-            raise fault
         return self._sound_reading()
 
     def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
         deadline_s = self._clock.now_s + timeout_s
         stable: list[Reading] = []
         while len(stable) < MEAN_OF:
-            reading = yield from self.next_reading()
+            reading = yield from self.next_reading() if stable else self._next_calm(deadline_s)
             if reading.stable:
                 stable.append(reading)
             else:
@@ -111,7 +110,18 @@ class SimulatedBalance:
         uncertainty_mg = math.sqrt(variance / MEAN_OF + self.spec.readability_mg**2 / 12.0)
         return StableMean(mean, uncertainty_mg, stable[-1].time_s, tuple(stable))
 
+    def _next_calm(self, until_s: float) -> Steps[Reading]:
+        """The next reading that is stable, or any after `until_s`: most are neither, and need wake nobody."""
+        seen = self._calm.count
+        while self._calm.count == seen:
+            if self._was_lost or self._clock.now_s >= until_s:
+                return (yield from self.next_reading())
+            yield Wake(until_s, self._calm, seen)
+        return self._sound_reading()
+
     def _sound_reading(self) -> Reading:
+        if (fault := self.fault) is not None:
+            raise fault
         if self._overloaded or self.latest is None:
             raise SkillFailed(Code.BALANCE_OVERLOAD, f"more than {self.spec.maximum_mg / 1000.0:g} g on the pan")
         return self.latest
@@ -170,7 +180,7 @@ class SimulatedBalance:
             stable = abs(newer) <= BAND_DIGITS * digit_mg * self._half
         stable = stable and "balance.unstable" not in self.faults.active
         if self._overloaded:  # it says so, and no mass
-            self.news.fire()
+            self._tell(calm=True)
             return
         if self.on_reading is None:
             self.latest = Reading(value_mg, stable, end_s)
@@ -178,7 +188,12 @@ class SimulatedBalance:
             raw = self._line % (b"S" if stable else b"D", value_mg / 1000.0 + 0.0)  # no -0.0000
             self.latest = Reading(value_mg, stable, end_s, "g", raw)
             self.on_reading(self.latest)
+        self._tell(calm=stable)
+
+    def _tell(self, *, calm: bool) -> None:
         self.news.fire()
+        if calm:
+            self._calm.fire()
 
     def _is_silent(self, now_s: float) -> bool:
         """Whether it says nothing that is a reading; after a while that is news."""
@@ -188,7 +203,7 @@ class SimulatedBalance:
         if self._was_lost != (is_silent and now_s - self._heard_s >= self.spec.lost_after_s):
             self._was_lost = not self._was_lost
             self.latest = None if self._was_lost else self.latest
-            self.news.fire()
+            self._tell(calm=True)
         return is_silent
 
     def _error_mg(self, now_s: float) -> float:
