@@ -162,10 +162,8 @@ def test_a_needle_is_not_passed_between_the_few_samples_of_a_line_that_keeps_far
 def test_what_is_hit_stays_so_whatever_else_was_looked_at(arm):
     space, q = scene(arm), configurations(500)
     hits = space.hits(q)
-    free = q[~hits]
-    lines = [space.line_free(free[k], 0.9 * free[k] + 0.1 * free[k + 1]) for k in range(50)]
-    for begin in free[np.flatnonzero(lines)[:20]]:
-        space.line_free(begin, begin + 1e-3)  # the last look at it may have been one with a wide margin
+    for begin in q[~hits][:20]:
+        space.line_free(begin, begin + 1e-3)  # some of them keep the wide margin, with which they are looked at last
         assert np.array_equal(space.hits(q), hits)
 
 
