@@ -13,7 +13,7 @@ from collections.abc import Generator
 import numpy as np
 
 from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
-from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream
+from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream, silence_s
 from scuhand_bt.dosing.estimation import (
     EXPONENT_ERROR,
     FREELY,
@@ -206,9 +206,11 @@ class Knowledge:
     def until_next_s(self) -> float:
         """How long an opening lasts that is to last until the next reading.
 
-        Where readings are rare it ends without one that is late, or lost: the constraint has it answered by then.
+        Where readings are rare it ends without one that is late, or lost: the constraint has it answered by then; and
+        elsewhere without several.
         """
-        return self._late_s if self.request.balance_period_s > LEAST_HOLD_S else math.inf
+        period_s = self.request.balance_period_s
+        return self._late_s if period_s > LEAST_HOLD_S else silence_s(period_s)
 
     @property
     def _late_s(self) -> float:

@@ -38,7 +38,9 @@ class _Begun(Decorator):
         if self.status is not Status.RUNNING and not self._begins():
             yield self
             return
-        yield from super().tick()
+        yield from self.decorated.tick()
+        _is_now(self, self.update())
+        yield self
 
     def _begins(self) -> bool:
         """False, and it has failed, where it cannot."""
@@ -181,11 +183,7 @@ class ForEach(_Begun):
             if self.decorated.status is not Status.SUCCESS:
                 break
             self._round.number += 1
-        status = self.update()
-        if status is Status.RUNNING:
-            self.status = status
-        else:
-            self.stop(status)
+        _is_now(self, self.update())
         yield self
 
     def update(self) -> Status:
@@ -221,10 +219,7 @@ class Chosen(Composite):
         if self.current_child is not None:
             yield from self.current_child.tick()
             status = self.current_child.status
-        if status is Status.RUNNING:
-            self.status = status
-        else:
-            self.stop(status)
+        _is_now(self, status)
         yield self
 
 
@@ -245,11 +240,16 @@ class Fallback(Selector):
             yield from child.tick()
             if child.status is not Status.FAILURE or failure_of(child).code not in self._codes:
                 break
-        if child.status is Status.RUNNING:
-            self.status = Status.RUNNING
-        else:
-            self.stop(child.status)
+        _is_now(self, child.status)
         yield self
+
+
+def _is_now(node: Behaviour, status: Status) -> None:
+    """What a tick came to; a node that has ended halts what it left running."""
+    if status is Status.RUNNING:
+        node.status = status
+    else:
+        node.stop(status)
 
 
 def _reset(children: Sequence[Behaviour]) -> None:
