@@ -38,7 +38,7 @@ class _Begun(Decorator):
         if self.status is not Status.RUNNING and not self._begins():
             yield self
             return
-        yield from self.decorated.tick()
+        self.decorated.tick_once()
         _is_now(self, self.update())
         yield self
 
@@ -179,7 +179,7 @@ class ForEach(_Begun):
             return
         while self._round.number <= len(self._rounds):
             self._items.update(self._rounds[self._round.number - 1])
-            yield from self.decorated.tick()
+            self.decorated.tick_once()
             if self.decorated.status is not Status.SUCCESS:
                 break
             self._round.number += 1
@@ -217,7 +217,7 @@ class Chosen(Composite):
                 self.failure = failure
         status = Status.SUCCESS if self.failure is None else Status.FAILURE
         if self.current_child is not None:
-            yield from self.current_child.tick()
+            self.current_child.tick_once()
             status = self.current_child.status
         _is_now(self, status)
         yield self
@@ -237,7 +237,7 @@ class Fallback(Selector):
         begin = self.children.index(self.current_child) if self.current_child is not None else 0
         for child in self.children[begin:]:
             self.current_child = child
-            yield from child.tick()
+            child.tick_once()
             if child.status is not Status.FAILURE or failure_of(child).code not in self._codes:
                 break
         _is_now(self, child.status)
