@@ -11,7 +11,7 @@ from scuhand_bt.cell.believed import LAST_LOADS
 from scuhand_bt.cell.believed_powder import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.pan_cleared import SCOOP_DOUBT, STOOD_STILL, stands_still, weigh_broken_off
-from scuhand_bt.cell.places import over_balance
+from scuhand_bt.cell.places import fall_s, over_balance
 from scuhand_bt.cell.weighing import PAUSE_S, note_moved, require_unchanged, weigh_until_still, weighing_of
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.devices.interfaces import StableMean
@@ -211,8 +211,9 @@ class Dispense(Skill[Dose]):
                 readings_mg.append(point.net_mg)
         least_mg = FELL_NOISES * max(cell.spec.balance.readability_mg, cell.balance_belief.noise_mg)
         fell_mg = fallen_mg(readings_mg)
-        if fell_mg > least_mg and cell.came is not None:
-            fell_mg = min(fell_mg, fallen_beside_mg(times_s, readings_mg, cell.came))
+        if fell_mg > least_mg and cell.came is not None and cell.believed.pan is not None:
+            falls_s = fall_s(cell.believed.pan)
+            fell_mg = min(fell_mg, fallen_beside_mg(times_s, readings_mg, cell.came, falls_s))
         return fell_mg if fell_mg > least_mg else 0.0
 
     @staticmethod

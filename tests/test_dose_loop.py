@@ -7,12 +7,13 @@ from typing import Any, cast
 
 import pytest
 
-from scuhand_bt.cell.dose_loop import DoseRun, run_dose, silence_s
+from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing import Command, DoseRequest, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
+from scuhand_bt.dosing.controller import silence_s
 from scuhand_bt.events.doses import Pulsed
 from scuhand_bt.events.entry import Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
@@ -49,13 +50,13 @@ class Pan:
     def __init__(self, clock: VirtualClock, net_mg: Iterable[float], controller: Scripted) -> None:
         self.spec = BalanceSpec(readability_mg=0.1)
         self.latest: Reading | None = None
-        self.timeouts_s: list[float] = []
+        self.timeouts_s: list[float | None] = []
         self.after_s = 0.1
         self._clock, self._net_mg, self._controller = clock, iter(net_mg), controller
         self._weighed = (-1, 0.0)
         self.creep_mg: Iterator[float] = itertools.repeat(0.0)
 
-    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
+    def next_reading(self, timeout_s: float | None = None) -> Steps[Reading]:
         self.timeouts_s.append(timeout_s)
         end_s = self._clock.now_s + self.after_s
         while self._clock.now_s < end_s:
@@ -342,6 +343,13 @@ def test_an_open_valve_waits_three_periods_for_a_reading(period_s: float, expect
     loop.pan.spec = BalanceSpec(period_s=period_s)
     loop.run()
     assert loop.pan.timeouts_s == [pytest.approx(expected_s)]
+
+
+@pytest.mark.parametrize("command", [Stream(1.0, hold_s=0.3), Stream(0.0)], ids=["shuts by itself", "shut"])
+def test_a_valve_that_is_shut_waits_until_the_balance_is_lost(command: Stream) -> None:
+    loop = Loop([command], [1.0])
+    loop.run()
+    assert loop.pan.timeouts_s == [None], "as long as the balance itself says"
 
 
 def test_the_hand_does_what_the_controller_says_and_closes_before_the_balance_is_asked() -> None:

@@ -15,6 +15,8 @@ from scuhand_bt.dosing.bracket import fallen_mg
 from scuhand_bt.dosing.characteristic import Step, step_of
 from scuhand_bt.dosing.hidden_step import fallen_beside_mg, hidden_step_mg
 
+FALL_S = 0.128
+"""Of 80 mm."""
 FINE_S, PERIOD_S, DIGIT_MG, MASS_MG = 0.005, 0.1, 0.1, 9200.0
 TIMES_S = np.arange(0.0, 14.0, FINE_S)
 Filter = Callable[[np.ndarray], np.ndarray]
@@ -134,19 +136,20 @@ def test_the_only_step_of_a_run_is_found_where_it_ends_on_a_pan_that_comes_to_re
     assert tally.flagged["balance.bracket_open"] > 0
 
 
-def fell_mg(filtered: Filter, zero_mg: np.ndarray, seed: int) -> tuple[float, float]:
-    """By how much the readings of a dose of 50 mg in pulses fall, and by how much beside what powder explains."""
+def fell_mg(filtered: Filter, zero_mg: np.ndarray, seed: int, dose_mg: float = 50.0) -> tuple[float, float]:
+    """By how much the readings of a dose in pulses fall, and by how much beside what powder explains."""
     rng = np.random.default_rng(seed)
     came = shown(filtered, np.where(TIMES_S < 1.0, 0.0, MASS_MG), 1.0, rng)
     pours = np.isin(np.arange(len(TIMES_S)) // 60, (6, 14, 15, 27))  # 0.3 s each
-    load_mg = 20.0 + 50.0 * np.cumsum(pours) / pours.sum() + zero_mg
+    landed_mg = dose_mg * np.cumsum(pours) / pours.sum()
+    load_mg = 20.0 + landed_mg + FALL_S * np.gradient(landed_mg, FINE_S) + zero_mg
     every = round(PERIOD_S / FINE_S)
     times_s, values_mg = (
         TIMES_S[::every],
         filtered(load_mg)[::every] + 0.05 * rng.standard_normal(len(TIMES_S[::every])),
     )
     values_mg = np.round(values_mg / DIGIT_MG) * DIGIT_MG
-    return fallen_mg(values_mg.tolist()), fallen_beside_mg(times_s.tolist(), values_mg.tolist(), came)
+    return fallen_mg(values_mg.tolist()), fallen_beside_mg(times_s.tolist(), values_mg.tolist(), came, FALL_S)
 
 
 LIVELY = ringing(0.15)
@@ -156,6 +159,13 @@ LIVELY = ringing(0.15)
 def test_readings_that_ring_fall_by_no_more_than_powder_explains(seed: int) -> None:
     all_mg, beside_mg = fell_mg(LIVELY, np.zeros_like(TIMES_S), seed)
     assert all_mg > 5.0, "or nothing is asked"
+    assert beside_mg < 0.25
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_quick_balance_that_felt_a_strong_flow_land_falls_by_no_more_than_powder_explains(seed: int) -> None:
+    all_mg, beside_mg = fell_mg(poles(0.06), np.zeros_like(TIMES_S), seed, dose_mg=500.0)
+    assert all_mg > 3.0, "or nothing is asked"
     assert beside_mg < 0.25
 
 

@@ -9,7 +9,7 @@ from running import dry_run, make_lab
 
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
-from scuhand_bt.dosing.controller import Observation
+from scuhand_bt.dosing.controller import Observation, silence_s
 from scuhand_bt.dosing.estimation import OPENING_ERROR_MM
 from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, SLACK_S, Knowledge
 from scuhand_bt.dosing.opening import Opening
@@ -146,7 +146,7 @@ def test_an_opening_begins_as_wide_as_lets_out_no_more_than_may_come_before_it_i
 
 
 def test_where_readings_come_as_often_as_a_valve_can_open_each_opening_waits_for_one() -> None:
-    assert hold_s(knowing(0.1), 2.4, 0.0) == float("inf")
+    assert hold_s(knowing(0.1), 2.4, 0.0) == silence_s(0.1) > 2.0 * LEAST_HOLD_S
 
 
 def test_an_opening_that_begins_allows_for_a_sheet_that_sticks_and_one_that_goes_on_does_not() -> None:
@@ -199,3 +199,30 @@ def test_a_whole_run_waits_for_a_balance_that_tells_readings_rarely(tmp_path: Pa
     cell.write_text(cell.read_text(encoding="utf-8").replace("period: 100 ms", "period: 2 s"), encoding="utf-8")
     ran = dry_run(tmp_path, RECIPE, lab=lab, controller="adaptive")
     assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 2
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.5])
+def test_a_balance_that_is_silent_for_a_while_shuts_the_valve_and_the_dose_goes_on(period_s: float) -> None:
+    bench = Bench(POWDERS["glass_beads"], 500.0, setting=setting(period_s))
+    faults, silent_s, were_open = bench.cell.balance.faults, list[float](), list[bool]()
+
+    class Silenced:
+        """For some readings from a second after the valve has opened."""
+
+        def step(self, now_s: float, limit_s: float) -> float:
+            if bench.world.is_open and not silent_s:
+                silent_s.append(now_s + 1.0)
+            is_silent = bool(silent_s) and silent_s[0] < now_s < silent_s[0] + 2.0
+            if is_silent and now_s > silent_s[0] + 1.3:
+                were_open.append(bench.world.is_open)
+            faults.active = {"balance.silent": silent_s[0]} if is_silent else {}
+            return bench.world.step(now_s, limit_s)
+
+        def save(self) -> None:
+            """It outlives nothing."""
+
+    bench.clock.process = Silenced()
+    dosed = bench.dose("adaptive")
+    assert were_open, "or nothing is asked"
+    assert not any(were_open)
+    assert abs(dosed.true_error_mg) < 2.0

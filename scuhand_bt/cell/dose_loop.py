@@ -1,7 +1,8 @@
 """Carrying out a controller's commands on a hand and a balance: the loop that every dose runs.
 
 The controller decides (`scuhand_bt.dosing.controller`), this loop acts and measures. The valve is shut and
-the motor off when it ends, however it ends: a reading that does not come for `silence_s` ends it.
+the motor off when it ends, however it ends: a reading that does not come ends it, for `silence_s` where the valve stays
+open until then, else for as long as it takes to be sure that the balance is lost.
 """
 
 import math
@@ -25,6 +26,7 @@ from scuhand_bt.dosing.controller import (
     Pulse,
     Stream,
     Weigh,
+    silence_s,
 )
 from scuhand_bt.dosing.identification import SETTLED, shows_s
 from scuhand_bt.events.doses import CurveRow, Pulsed
@@ -139,11 +141,6 @@ class _Kept:
         self._least_mg = max(self._least_mg, seen.net_mg - max(LOST_MG, RINGS * came_mg))
 
 
-def silence_s(period_s: float) -> float:
-    """How long the balance may be silent while the valve is open."""
-    return max(0.3, 3.0 * period_s)
-
-
 def run_dose(
     controller: Controller,
     request: DoseRequest,
@@ -205,7 +202,8 @@ def run_dose(
                 streaming = True
                 hand.set_vibration(command.vibration)
                 hand.set_opening(command.opening_mm)
-                waiting = balance.next_reading(silence_s(period_s))
+                stays_open = command.opening_mm > 0.0 and command.hold_s == math.inf
+                waiting = balance.next_reading(silence_s(period_s) if stays_open else None)
                 if command.hold_s < math.inf:
                     reading, is_over = yield from _held(waiting, command.hold_s, hand, clock)
                     held_mm = command.opening_mm if is_over else 0.0

@@ -3,6 +3,7 @@
 One place for these heights, so that `check`, the planner and the skills mean the same point.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 
 from scuhand_bt.bench_spec import Station
@@ -17,6 +18,7 @@ MOUTH_CLEARANCE_MM = 15.0
 """Apex above a container's mouth, where that is higher."""
 CLEAR_MM = 90.0
 """The apex must be this far aside from the pan's centre while containers are changed."""
+GRAVITY_MM_PER_S2 = 9810.0
 HOVER_MM = 25.0
 """Apex above a mortar's rim, or above the opening of the waste bin."""
 
@@ -24,6 +26,11 @@ HOVER_MM = 25.0
 def dispensing_height_mm(container: ContainerKind) -> float:
     """Apex above the pan for this container."""
     return max(DISPENSING_HEIGHT_MM, container.height_mm + MOUTH_CLEARANCE_MM)
+
+
+def fall_s(container: ContainerKind) -> float:
+    """How long powder falls into it, onto its floor."""
+    return math.sqrt(2.0 * dispensing_height_mm(container) / GRAVITY_MM_PER_S2)
 
 
 def over_balance(cell: CellSpec, container: ContainerKind) -> tuple[str, Position]:

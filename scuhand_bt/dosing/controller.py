@@ -22,6 +22,11 @@ LONGEST_UNWEIGHED_S = 30.0
 """So long a controller may go without a stable mean: what the zero does meanwhile nobody sees."""
 
 
+def silence_s(period_s: float) -> float:
+    """How long the balance may be silent while the valve is open."""
+    return max(0.3, 3.0 * period_s)
+
+
 @dataclass(frozen=True, slots=True)
 class Pulse:
     """Open to `opening_mm`, hold `dwell_s` (counted from the opening being reached), close, then settle."""

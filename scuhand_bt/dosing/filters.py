@@ -130,19 +130,18 @@ def widest(
 
 @compiled("void(f8[::1], f8[:,::1], f8[:,::1])")
 def carry(x: Array, p: Array, f: Array) -> None:
-    """A state (5,) and its covariance (5, 5) over a transition (5, 5): f x, and f p f'."""
-    x_before, fp = x.copy(), np.zeros((5, 5))
+    """A state (5,) and its covariance (5, 5) over a transition f (3, 5), without k and g, which stay: f x, f p f'."""
+    y, rate, mass, k, g = x
+    for i in range(K):
+        x[i] = f[i, 0] * y + f[i, 1] * rate + f[i, 2] * mass + f[i, 3] * k + f[i, 4] * g
+    for j in range(5):
+        y, rate, mass, k, g = p[:, j]
+        for i in range(K):
+            p[i, j] = f[i, 0] * y + f[i, 1] * rate + f[i, 2] * mass + f[i, 3] * k + f[i, 4] * g
     for i in range(5):
-        x[i] = 0.0
-        for each in range(5):
-            x[i] += f[i, each] * x_before[each]
-            for j in range(5):
-                fp[i, j] += f[i, each] * p[each, j]
-    for i in range(5):
-        for j in range(5):
-            p[i, j] = 0.0
-            for each in range(5):
-                p[i, j] += fp[i, each] * f[j, each]
+        y, rate, mass, k, g = p[i]
+        for j in range(K):
+            p[i, j] = y * f[j, 0] + rate * f[j, 1] + mass * f[j, 2] + k * f[j, 3] + g * f[j, 4]
 
 
 @compiled(
@@ -179,7 +178,7 @@ def take_in(
     many, last = len(weights), len(passed) - 1
     best = np.argmax(weights)
     told = (0.0, 0.0, 0.0, 0.0)
-    innovations_mg, f, gain, shares, common = np.empty(many), np.empty((5, 5)), np.empty(5), np.empty(5), 0.0
+    innovations_mg, f, common = np.empty(many), np.empty((K, 5)), 0.0
     for h in range(many):
         before, at, due_s = seen[h], last, passed[last, 0] - late_s[h]
         # Until the reading that is nearest; of two as near the later, however their times are rounded.
@@ -190,10 +189,9 @@ def take_in(
         unseen[h, 0], unseen[h, 1] = passed[last, 1] - passed[at, 1], passed[last, 2] - passed[at, 2]
         k = x[h, K]
         p[h, K, K] += (exponent_error * changed * k) ** 2
-        for i in range(5):
-            for j in range(5):
-                f[i, j] = still[h, i, j]
         for i in range(K):
+            for j in range(K):
+                f[i, j] = still[h, i, j]
             f[i, K], f[i, G] = adds[h, i] * phi_s, adds[h, i] * slope_s
         carry(x[h], p[h], f)
         flow_mg = max(k, held_up * reference) * phi_s
@@ -212,12 +210,15 @@ def take_in(
         innovations_mg[h] = reading_mg - x[h, READING]
         if h == best:
             told = (innovations_mg[h] / math.sqrt(variance), unexplained / variance, k, k * phi_s)
+        y, rate, mass, of_k, of_g = p[h, READING]
         for i in range(5):
-            gain[i], shares[i] = p[h, i, READING] / variance, p[h, READING, i]
-        for i in range(5):
-            x[h, i] += gain[i] * innovations_mg[h]
-            for j in range(5):
-                p[h, i, j] -= gain[i] * shares[j]
+            gain = p[h, i, READING] / variance
+            x[h, i] += gain * innovations_mg[h]
+            p[h, i, READING] -= gain * y
+            p[h, i, RATE] -= gain * rate
+            p[h, i, MASS] -= gain * mass
+            p[h, i, K] -= gain * of_k
+            p[h, i, G] -= gain * of_g
         x[h, K] = max(x[h, K], 0.0)
     # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
     for h in range(many):

@@ -6,9 +6,12 @@ lower until t1, and then goes back, is shown by the same filter: - S p(t - t1), 
 least squares. A line that falls behind looks alike: a step must explain the curve better than one that was late from
 some reading on. A zero that stepped while the container came is told the other way round, by how it went.
 
-**While powder falls.** Readings that fall are the zero's, as no powder leaves the pan, unless the filter rings. What
-can have come, with each reading no less than nothing, is fitted through that filter: sum of m_j (1 - p(t - t_j)),
-m_j >= 0. What falls beside the fit is the zero's.
+**While powder falls.** Readings that fall are the zero's, as no powder leaves the pan, unless the filter rings, or a
+strong flow ends: what lands pushes as well, by its rate times the time t_f of its fall, and a balance that is quick, or
+late but sharp, shows that this has gone. What can have come, with each reading no less than nothing, is fitted through
+that filter: sum of m_j (1 + t d/dt) (1 - p(t - t_j)), m_j >= 0, with t = t_f and as much more as lies between two
+readings, within which all may have landed at once. Whatever pushes less is such a sum, too. What falls beside the fit
+is the zero's.
 """
 
 from collections.abc import Sequence
@@ -19,6 +22,7 @@ from numpy.typing import NDArray
 
 from scuhand_bt.dosing.bracket import fallen_mg
 from scuhand_bt.dosing.characteristic import Step
+from scuhand_bt.dosing.identification import LEAST_APART_S
 
 EARLIER_S = np.arange(-0.3, 0.305, 0.01)
 """By how much a load may come earlier or later than it was taken to: d."""
@@ -59,7 +63,7 @@ def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
     misfit, until = misfits.sum(axis=1), misfits.cumsum(axis=1)
     late = float((until.min(axis=0) + (misfit[:, None] - until).min(axis=0)).min())
     back = _missing(sound, times_s - times_s[:, None])  # (T, N): a zero that goes back with each of the readings
-    top, below = (off_mg / variances) @ back.T, (1.0 / variances) @ (back**2).T
+    top, below = _summed(off_mg / variances, back), _summed(1.0 / variances, back**2)
     steps_mg = top / np.maximum(below, 1e-12)
     left = misfit[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)
     best = np.unravel_index(int(left.argmin()), left.shape)
@@ -72,17 +76,29 @@ def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
     return stepped_mg if is_clear and is_seen else 0.0
 
 
-def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], came: Step) -> float:
-    """By how much (N,) readings fall that no powder explains through a filter that has shown a container so."""
+def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], came: Step, fall_s: float) -> float:
+    """By how much (N,) readings fall that no powder explains through a filter that has shown a container so.
+
+    The powder falls for `fall_s` before it lands.
+    """
     from scipy.optimize import nnls  # which not every command has to load
 
     shown_mg, at_s = np.asarray(readings_mg), np.asarray(times_s)
     # With each of them, and between them where some were left out.
     arrives_s = np.concatenate([np.arange(*between, GAP_S) for between in pairwise(at_s)])
-    comes = 1.0 - _missing(came, at_s[:, None] - arrives_s)  # (N, M)
-    design = np.column_stack((comes, np.ones(len(at_s)), -np.ones(len(at_s))))
+    landing_s = np.maximum(np.diff(arrives_s, prepend=arrives_s[0] - GAP_S), LEAST_APART_S)
+    later_s = at_s[:, None] - arrives_s  # (N, M)
+    comes = 1.0 - _missing(came, later_s)
+    pushes = (1.0 + fall_s / landing_s) * (1.0 - _missing(came, later_s + landing_s) - comes)
+    design = np.column_stack((comes + pushes, np.ones(len(at_s)), -np.ones(len(at_s))))
     masses_mg, _ = nnls(design, shown_mg)
     return fallen_mg(list(shown_mg - design @ masses_mg))
+
+
+def _summed(weights: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(D, N) by (T, N): (D, T). Not by BLAS, whose threads cost more than they bring to so few."""
+    summed: NDArray[np.float64] = np.einsum("dn,tn->dt", weights, shares)
+    return summed
 
 
 def _missing(step: Step, times_s: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -12,7 +12,8 @@ where m is what came of it and r the readings. How far the nearest shape of that
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -148,7 +149,8 @@ def _nearest(step: Step) -> tuple[str, float, float]:
     return shape, *fits[shape]
 
 
-def _fits(step: Step) -> dict[str, tuple[float, float]]:
+@lru_cache(maxsize=4)
+def _fits(step: Step) -> Mapping[str, tuple[float, float]]:
     """How far each shape is off a step [1], and what the last of the step takes it [s]."""
     delay_s, fits = step.delay_s, dict[str, tuple[float, float]]()
     for shape, (pure, damping) in SHAPES.items():

@@ -13,7 +13,7 @@ from collections.abc import Generator
 import numpy as np
 
 from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
-from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream
+from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream, silence_s
 from scuhand_bt.dosing.estimation import (
     EXPONENT_ERROR,
     FREELY,
@@ -69,7 +69,7 @@ class Knowledge:
         self.request, self.belief, self.balance = request, request.powder, request.balance
         self.shape = FlowShape(self.belief.threshold_mm, self.belief.exponent)
         self.valve = ValvePath(self.shape, request.valve_dead_time_s, request.valve_speed_mm_per_s)
-        self.noise = Noise(self.balance.noise_mg, request.readability_mg)
+        self.noise = Noise(self.balance.noise_mg, self.balance.shaken_noise_mg, request.readability_mg)
         self.reference = self.belief.coefficient
         """The flow's coefficient when nothing is in its way."""
         self.spread = UNKNOWN_SPREAD if self.belief.doses == 0 else self.belief.spread
@@ -206,9 +206,11 @@ class Knowledge:
     def until_next_s(self) -> float:
         """How long an opening lasts that is to last until the next reading.
 
-        Where readings are rare it ends without one that is late, or lost: the constraint has it answered by then.
+        Where readings are rare it ends without one that is late, or lost: the constraint has it answered by then; and
+        elsewhere without several.
         """
-        return self._late_s if self.request.balance_period_s > LEAST_HOLD_S else math.inf
+        period_s = self.request.balance_period_s
+        return self._late_s if period_s > LEAST_HOLD_S else silence_s(period_s)
 
     @property
     def _late_s(self) -> float:
@@ -337,7 +339,8 @@ class Knowledge:
 
     def finish(self, reason: Reason, seen: Observation) -> Finish:
         """The dose's last word, with what was learnt."""
-        balance = self.balance.model_copy(update={"noise_mg": self.noise.quiet_mg})
+        noise = {"noise_mg": self.noise.quiet_mg, "shaken_noise_mg": self.noise.shaken_mg}
+        balance = self.balance.model_copy(update=noise)
         if reason in ("empty", "no_flow"):  # an empty cone says nothing of a width
             self._needed_mm = self.belief.narrowest_mm
         return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance, self.doubt)

@@ -38,7 +38,9 @@ class _Begun(Decorator):
         if self.status is not Status.RUNNING and not self._begins():
             yield self
             return
-        yield from super().tick()
+        self.decorated.tick_once()
+        _is_now(self, self.update())
+        yield self
 
     def _begins(self) -> bool:
         """False, and it has failed, where it cannot."""
@@ -177,15 +179,11 @@ class ForEach(_Begun):
             return
         while self._round.number <= len(self._rounds):
             self._items.update(self._rounds[self._round.number - 1])
-            yield from self.decorated.tick()
+            self.decorated.tick_once()
             if self.decorated.status is not Status.SUCCESS:
                 break
             self._round.number += 1
-        status = self.update()
-        if status is Status.RUNNING:
-            self.status = status
-        else:
-            self.stop(status)
+        _is_now(self, self.update())
         yield self
 
     def update(self) -> Status:
@@ -219,12 +217,9 @@ class Chosen(Composite):
                 self.failure = failure
         status = Status.SUCCESS if self.failure is None else Status.FAILURE
         if self.current_child is not None:
-            yield from self.current_child.tick()
+            self.current_child.tick_once()
             status = self.current_child.status
-        if status is Status.RUNNING:
-            self.status = status
-        else:
-            self.stop(status)
+        _is_now(self, status)
         yield self
 
 
@@ -242,14 +237,19 @@ class Fallback(Selector):
         begin = self.children.index(self.current_child) if self.current_child is not None else 0
         for child in self.children[begin:]:
             self.current_child = child
-            yield from child.tick()
+            child.tick_once()
             if child.status is not Status.FAILURE or failure_of(child).code not in self._codes:
                 break
-        if child.status is Status.RUNNING:
-            self.status = Status.RUNNING
-        else:
-            self.stop(child.status)
+        _is_now(self, child.status)
         yield self
+
+
+def _is_now(node: Behaviour, status: Status) -> None:
+    """What a tick came to; a node that has ended halts what it left running."""
+    if status is Status.RUNNING:
+        node.status = status
+    else:
+        node.stop(status)
 
 
 def _reset(children: Sequence[Behaviour]) -> None:
