@@ -146,6 +146,8 @@ class BalanceBelief(Spec):
     """The share of what was not yet read that this model of the balance was off by, noise apart."""
     noise_mg: Annotated[Milligrams, NotNegative] = 0.1
     """Standard deviation of a single reading on a quiet pan."""
+    shaken_noise_mg: Annotated[Milligrams, NotNegative] = 0.3
+    """The same while the hand's motor shakes."""
     fits: Annotated[int, Field(ge=0)] = 0
     """How many steps and openings the lag was learnt from; 0 while it is only assumed."""
     shown_s: Annotated[Seconds, NotNegative] = 0.0

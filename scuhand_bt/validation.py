@@ -75,6 +75,7 @@ def refusal(error: Any) -> str:
     if error["type"] in _OWN_CODES:
         return str(error["msg"])
     given, context = error["input"], error.get("ctx", {})
+    given = f"{given:g}" if isinstance(given, float) else given  # what was worked out has all its digits
     shown = (
         f"'{shorten(str(given))}'" if isinstance(given, str | int | float) else "nothing" if given is None else "this"
     )

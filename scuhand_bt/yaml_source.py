@@ -168,7 +168,9 @@ def parse(text: str, file: str, what: str) -> Node:
 _YAML_PROBLEMS = {
     "found unexpected end of stream": "a quote is not closed",
     "mapping values are not allowed in this context": "a ':' too many; look at the indentation, or quote the text",
+    "could not find expected ':'": "a ':' is missing before this",
     "did not find expected key": "no 'key: value' where one should be; look at the indentation",
+    "did not find expected '-' indicator": "no '- ' where one should be; look at the indentation",
     "did not find expected node content": "a bracket is not closed, or a value is missing",
     "did not find expected ',' or '}'": "a '}' or a ',' is missing",
     "did not find expected ',' or ']'": "a ']' or a ',' is missing",

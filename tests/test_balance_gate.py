@@ -732,5 +732,8 @@ def test_what_stood_still_before_is_no_noise_of_the_balance() -> None:
     assert is_frozen([*noisy, *[5.0] * 300, *noisy, *[7.0] * 110], 0.1)
     quiet = [0.1 * step for step, run in enumerate((1, 4, 15, 60, 100, 400)) for _ in range(run)]
     assert not is_frozen([*quiet, *[7.0] * 900], 0.1), "as quiet at other times"
+    filling = [12.0 + rise for rise in range(150) for _ in range(1 + rise % 3)]
+    coarse = [*[0.0] * 310, 3.0, 9.0, 11.0, *[12.0] * 65, *filling, *[162.0] * 74, 165.0, 240.0, 280.0]
+    assert not is_frozen([*coarse, *[300.0] * 120], 1.0), "as quiet whenever nothing fell, however seldom that was"
     poured = [reading for rest in range(5) for reading in (*noisy, *[float(rest)] * 110)]
     assert not is_frozen([*poured, *noisy, *[7.0] * 120], 0.1), "as quiet whenever nothing falls"

@@ -72,6 +72,21 @@ def test_a_warning_is_silenced_on_its_own_line_only(command: Call, lab: LabFolde
     assert [code for _, code, _ in checked(command, lab)[1]] == ["unused-silencer", "unused-result"]
 
 
+def test_no_timeout_is_too_short_for_a_skill_that_says_nothing_of_its_time(command: Call, lab: LabFolder) -> None:
+    text = (lab.folder / "skills/wait.py").read_text(encoding="utf-8").replace("class Wait", "class Blink")
+    begin, end = text.index("    @classmethod"), text.index("    def run")
+    silent = text[:begin] + text[end:].replace("self.duration_s", "1.0")
+    silent = silent.replace("    duration_s: Annotated[Seconds, Field(ge=0)]\n", "")
+    tree = "workflow: t\ntree: {timeout: {duration: 1 s, child: {blink: }}}\n"
+    lab.write("trees/t.yaml", tree)
+    for skill, is_warned in (
+        (silent, False),
+        (silent.replace("    def run", "    typical_s = 5.0\n\n    def run"), True),
+    ):
+        lab.write("skills/blink.py", skill)
+        assert ("[short-timeout]" in command("check", "--lab", lab.folder).stdout) == is_warned
+
+
 def test_an_error_cannot_be_silenced(command: Call, lab: LabFolder) -> None:
     lab.write("trees/mine.yaml", TREE.replace("- park:", "- prk:   # ok: unknown-name"))
     assert checked(command, lab) == (2, [("error", "unknown-name", "trees/mine.yaml:8:7")])

@@ -48,6 +48,25 @@ def test_a_unit_in_a_cell_goes_before_the_columns(tmp_path: Path) -> None:
     assert [row["mass"] for row in rows] == ["0.5 g", "5e2 mg"]
 
 
+@pytest.mark.parametrize(
+    ("cells", "mass", "decimal"), [(("50,5", "1.000"), "1.000", ","), (("50.5", "1,000"), "1,000", ".")]
+)
+def test_what_may_be_a_thousand_or_one_is_not_guessed(
+    tmp_path: Path, cells: tuple[str, str], mass: str, decimal: str
+) -> None:
+    rows, said = read(tmp_path / "t.csv", "id;mass [mg]\n1,5;{}\nb;{}\n".format(*cells))
+    assert [row.get("mass") for row in rows] == ["50.5 mg", None]
+    why = f"'{mass}' could be thousands: this table's other numbers have '{decimal}' for decimals"
+    assert said == [f"3:3: {why}; write it without a sign for thousands"]
+
+
+@pytest.mark.parametrize("cells", [("50,5", "0.125"), ("1.250", "1.000"), ("1.250", "1,000"), ("1,5", "1,000")])
+def test_decimals_that_cannot_be_thousands_are_read_as_such(tmp_path: Path, cells: tuple[str, str]) -> None:
+    rows, said = read(tmp_path / "t.csv", "id;mass [g]\na;{}\nb;{}\n".format(*cells))
+    assert [row["mass"] for row in rows] == [f"{cell.replace(',', '.')} g" for cell in cells]
+    assert said == []
+
+
 def test_every_cell_knows_its_line_and_column(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text('id;note;mass\n\na;"x;""y""\nz";5 mg\nbb;5" dish;6 mg\n')

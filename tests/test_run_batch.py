@@ -165,7 +165,7 @@ def test_a_plant_that_breaks_in_the_run_ends_it_safe_and_is_named(tmp_path: Path
     ran = dry_run(tmp_path, ONE_DOSE, plant="test_run_batch:LaterNan")
     assert ran.result.exit_code == ExitCode.CELL_FAULT
     assert "LaterNan" in ran.result.reason
-    assert [sample.verdict for sample in ran.result.samples] == ["not run"]
+    assert [sample.verdict for sample in ran.result.samples] == ["interrupted"]
 
 
 BROKEN_SKILL = '''
@@ -188,10 +188,22 @@ def test_a_bug_in_a_skill_stops_the_run_safe_and_says_which(tmp_path: Path) -> N
     lab = make_lab(tmp_path / "lab", skills__broken=BROKEN_SKILL, trees__w=tree)
     ran = dry_run(tmp_path, "recipe: r\nworkflow: w\nsamples: [{id: a, source: beads}]\n", lab=lab)
     assert ran.result.exit_code == ExitCode.CELL_FAULT
-    assert "broken" in ran.result.reason
-    assert "ZeroDivisionError" in ran.result.reason
-    assert [sample.verdict for sample in ran.result.samples] == ["not run"]
+    assert "the skill broken broke: ZeroDivisionError: division by zero (broken.py, line 12)" in ran.result.reason
+    assert [sample.verdict for sample in ran.result.samples] == ["interrupted"]
     assert_safe(ran)
+
+
+def test_what_was_dosed_before_a_bug_in_a_skill_is_told_and_not_called_not_run(tmp_path: Path) -> None:
+    inputs = "{source: Source, container: Container, mass: Mass}"
+    dosed = "scoop_and_dispense: {source: $source, container: $container, mass: $mass}"
+    tree = f"workflow: w\ninputs: {inputs}\ntree: {{sequence: [{{{dosed}}}, {{broken: }}]}}\n"
+    lab = make_lab(tmp_path / "lab", skills__broken=BROKEN_SKILL, trees__w=tree)
+    samples = "samples: [{id: [a, b], source: beads, container: xrd_holder, mass: [50 mg, 50 mg]}]\n"
+    ran = dry_run(tmp_path, f"recipe: r\nworkflow: w\n{samples}", lab=lab)
+    a, b = ran.result.samples
+    assert (a.verdict, b.verdict) == ("interrupted", "not run")
+    assert a.dispensed_mg == pytest.approx(50.0, abs=2.0)
+    assert a.true_mg == pytest.approx(a.dispensed_mg, abs=1.0)
 
 
 STUCK_SKILL = '''

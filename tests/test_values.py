@@ -346,6 +346,16 @@ def test_room_for_a_mass_that_is_known_only_at_run_time_is_checked_at_its_bound(
     assert "100.0 mg of glass_beads and 117.3 mg of monosodium_glutamate (0.20 cm³) do not fit" in said
 
 
+def test_what_makes_up_a_total_is_planned_at_what_the_first_dose_leaves_of_it(lab_folder: LabFolder) -> None:
+    desk = of_lab(lab_folder, {"mix": MIX.replace("$share * $a.dispensed", "$share * $mass - $a.dispensed")})
+    sample = "workflow: mix\nsamples:\n"
+    sample += "  - {id: x, first: beads, second: msg, into: alumina_crucible, mass: 1 g, share: %s}\n"
+    (mixed,) = desk.load(SOURCES % "522 mg" + sample % "150 %").samples
+    assert [(take.source.name, take.mass_mg) for take in mixed.takes] == [("beads", 1000.0), ("msg", 502.0)]
+    said = desk.problems(SOURCES % "5 g" + sample % "90 %")
+    assert said == ["7:70: the mass taken from 'msg' is -98 mg; more than 0"]
+
+
 ANY = """\
 workflow: any
 inputs: {source: Source, into: Container, mass: Mass, spare: {type: [Container], default: []}}

@@ -25,6 +25,7 @@ WORDS: Mapping[str, tuple[str, str]] = {
     "filter": ("its filter, by doses", ""),
     "filter_misfit": ("what that is off by, of what it has yet to show", "%"),
     "noise_in_doses_mg": ("noise of a reading, by doses", "mg"),
+    "shaken_noise_in_doses_mg": ("the same while it is shaken", "mg"),
 }
 """What each figure is called, and its unit."""
 

@@ -44,7 +44,8 @@ readings falls off with its length, by a factor of e in about what the longest t
 sixteen such factors do not come. What averages over seconds stands still for long, and is given as much longer.
 """
 STILL_BEFORE, STILL_READINGS = 4, 50
-"""So many runs of so many readings or more that are as far beyond what is shorter were no noise either."""
+"""So many runs of so many readings or more that are as far beyond what is shorter were no noise either, unless they are
+most of what was seen of the pan at rest: the digits of such a balance are coarser than its noise."""
 
 Curve = Sequence[tuple[float, float]]
 """Readings: times [s], growing, and masses [mg]."""
@@ -143,12 +144,24 @@ def is_frozen(readings_mg: Sequence[float], readability_mg: float) -> bool:
     last = sum(1 for _, equal in islice(newest, 1) for _ in equal)
     if last <= 1.0 + STILL_FOLDS:  # no noise makes shorter runs than single readings, nor of fewer folds than one
         return False
-    noise = sorted(sum(1 for _ in equal) for _, equal in newest)
+    before = [(digits, sum(1 for _ in equal)) for digits, equal in newest]
+    noise = sorted(run for _, run in before)
     for number in range(max(0, len(noise) - STILL_BEFORE), len(noise)):
         if noise[number] >= STILL_READINGS and _is_beyond(noise[number], noise[:number]):
-            noise = noise[:number]
+            # However long one of them was, a single one says nothing of the others.
+            if sum(min(run, STILL_KNOWN) for run in noise[number:]) <= _wavered(before):
+                noise = noise[:number]
             break
     return _is_beyond(last, noise)
+
+
+def _wavered(runs: Sequence[tuple[int, int]]) -> int:
+    """Readings between a step up and a step down: of runs of equal ones (digits, how many), those that noise ended.
+
+    What goes one way was moved by what fell.
+    """
+    beside = zip(runs, runs[1:], runs[2:], strict=False)
+    return sum(run for (last, _), (now, run), (next_one, _) in beside if (now - last) * (next_one - now) < 0)
 
 
 def _is_beyond(run: int, noise: Sequence[int]) -> bool:

@@ -69,7 +69,7 @@ class Knowledge:
         self.request, self.belief, self.balance = request, request.powder, request.balance
         self.shape = FlowShape(self.belief.threshold_mm, self.belief.exponent)
         self.valve = ValvePath(self.shape, request.valve_dead_time_s, request.valve_speed_mm_per_s)
-        self.noise = Noise(self.balance.noise_mg, request.readability_mg)
+        self.noise = Noise(self.balance.noise_mg, self.balance.shaken_noise_mg, request.readability_mg)
         self.reference = self.belief.coefficient
         """The flow's coefficient when nothing is in its way."""
         self.spread = UNKNOWN_SPREAD if self.belief.doses == 0 else self.belief.spread
@@ -339,7 +339,8 @@ class Knowledge:
 
     def finish(self, reason: Reason, seen: Observation) -> Finish:
         """The dose's last word, with what was learnt."""
-        balance = self.balance.model_copy(update={"noise_mg": self.noise.quiet_mg})
+        noise = {"noise_mg": self.noise.quiet_mg, "shaken_noise_mg": self.noise.shaken_mg}
+        balance = self.balance.model_copy(update=noise)
         if reason in ("empty", "no_flow"):  # an empty cone says nothing of a width
             self._needed_mm = self.belief.narrowest_mm
         return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance, self.doubt)

@@ -164,6 +164,7 @@ class LabState:
                 "filter": kind,
                 "filter_misfit": belief.misfit,
                 "noise_in_doses_mg": belief.noise_mg,
+                "shaken_noise_in_doses_mg": belief.shaken_noise_mg,
             }
             rows += [(name, figure, value, learnt.run, learnt.at) for figure, value in taught.items()]
         return rows

@@ -2,7 +2,7 @@
 
 The tree is followed with the values that are known before the run, through all that it calls and along all of its ways
 at once; the way of an `if` and the rounds of a `for_each` are told, where they can be. A mass that only the run can
-tell has bounds: a dose that succeeded is at most its target and its tolerance.
+tell has bounds: a dose that succeeded is its target within its tolerance.
 
 What matters is what is wired where, by its type, and not what it is called: a dose is of the source, and into the
 container, that were named last before it, as values of the types `Source` and `Container`. A condition that is given a
@@ -294,7 +294,8 @@ class _Follower:
         )
         if node.result is not None and self._library.skills[node.name].result_type() is Dose:
             target_range: Ranges = {("target",): (low_mg, high_mg), ("tolerance",): (0.0, beside_mg)}
-            names.keep(node.result, {**target_range, ("dispensed",): (0.0, high_mg + beside_mg)})
+            dispensed_range = max(0.0, low_mg - beside_mg), high_mg + beside_mg
+            names.keep(node.result, {**target_range, ("dispensed",): dispensed_range})
         self.pours += sorted(pours, key=lambda pour: (pour.container or "", pour.source or ""))
         places = {pour.place for pour in pours}
         is_certain = len(places) == 1 and not any(None in place for place in places)

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -169,17 +169,25 @@ class SamplesReader:
             self.marks[f"samples.{sample_id}.{COMPOSE}"] = (entry.get(COMPOSE) or defaults.values[COMPOSE]).mark
         with suppress(ValueError):  # a wrong default, which is reported where it stands
             inputs = bound_inputs(workflow, inputs, self.lab.library)
-        flow = self._flow(workflow, inputs)
+        flow = self._flow(workflow, inputs, sample_id)
         sample = Sample(entry.mark, sample_id, workflow.name, inputs, flow, composed.composition if composed else None)
         check_sample(sample, entry.values, defaults.values, self.lab.cell, self.problems)
         return sample
 
-    def _flow(self, workflow: Workflow, inputs: Mapping[str, Any]) -> Flow:
+    def _flow(self, workflow: Workflow, inputs: Mapping[str, Any], sample_id: str) -> Flow:
         """What a sample's workflow doses; by a wrong one, which is reported where it stands, nothing."""
         if not self.is_sound(workflow.name):
             return Flow()
         is_complete = all(key in inputs for key in workflow.inputs)  # else what lacks is reported where it stands
-        return self._flows.of(workflow.name, inputs, self.problems if is_complete else Problems())
+        noted = Problems()
+        flow = self._flows.of(workflow.name, inputs, noted)
+        if is_complete:
+            of_sample = f"; sample '{sample_id}' has these"  # the workflow, where it stands, is right for others
+            self.problems.found += [
+                replace(one, message=one.message + of_sample) if one.code == "uneven-lists" else one
+                for one in noted.found
+            ]
+        return flow
 
     def is_sound(self, name: str) -> bool:
         """Whether a workflow can be followed."""

@@ -16,6 +16,8 @@ from scuhand_bt.yaml_source import Entries, Scalar, read_text
 _HEADER = re.compile(r"([A-Za-z_]\w*)\s*(?:[\[(]([^\])]+)[\])])?")
 _NUMBER = re.compile(r"[+-]?[\d.]+(?:[eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"([+-]?\d+),(\d+)(\s*[A-Za-zµμ°%]*)")
+_SIGN_IN_NUMBER = re.compile(r"[+-]?\d+([.,])\d+\s*[A-Za-zµμ°%]*")
+_PERHAPS_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}\s*[A-Za-zµμ°%]*")
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ def read_table(path: Path, asked_at: Mark, problems: Problems) -> list[Entries]:
     delimiter = max(";\t,", key=first.count)
     reader = csv.reader(lines, delimiter=delimiter, strict=True)
     header: list[Column | None] | None = None
-    rows: list[Entries] = []
+    read: list[tuple[list[str], list[Mark]]] = []
     line_number = 1
     try:
         for cells in reader:
@@ -52,13 +54,28 @@ def read_table(path: Path, asked_at: Mark, problems: Problems) -> list[Entries]:
             if header is None:
                 header = _read_header(cells, marks, problems)
             else:
-                rows.append(_read_row(cells, marks, header, delimiter != ",", problems))
+                read.append((cells, marks))
     except csv.Error as error:
         problems.add(Mark(file, line_number), f"is no valid CSV: {error}", code="bad-table")
     else:
-        if not rows:
+        if not read:
             problems.add(Mark(file), "has no rows below its header", code="bad-table")
-    return rows
+    decimal = None if delimiter == "," else _decimal_sign([cells for cells, _ in read], header or [])
+    return [_read_row(cells, marks, header or [], decimal, problems) for cells, marks in read]
+
+
+def _decimal_sign(rows: list[list[str]], header: list[Column | None]) -> str:
+    """The one sign that tells decimals in a table, by its numbers that have no thousands; "" where that is open."""
+    numbers = {
+        text
+        for cells in rows
+        for cell, column in zip(cells, header, strict=False)
+        if column is not None and column.name != "id"
+        for text in [cell.strip()]
+        if not _PERHAPS_THOUSANDS.fullmatch(text)
+    }
+    signs = {match[1] for match in map(_SIGN_IN_NUMBER.fullmatch, numbers) if match}
+    return signs.pop() if len(signs) == 1 else ""
 
 
 def _read_header(cells: list[str], marks: list[Mark], problems: Problems) -> list[Column | None]:
@@ -79,8 +96,9 @@ def _read_header(cells: list[str], marks: list[Mark], problems: Problems) -> lis
 
 
 def _read_row(
-    cells: list[str], marks: list[Mark], header: list[Column | None], has_comma: bool, problems: Problems
+    cells: list[str], marks: list[Mark], header: list[Column | None], decimal: str | None, problems: Problems
 ) -> Entries:
+    """`decimal`: the sign of decimals that the table's other numbers have; None where a comma can be none."""
     row = Entries(marks[0], {}, {})
     for i, (cell, mark) in enumerate(zip(cells, marks, strict=True)):
         text = cell.strip()
@@ -97,7 +115,12 @@ def _read_row(
         column = header[i]
         if column is None:
             continue
-        if has_comma and (match := _DECIMAL_COMMA.fullmatch(text)):
+        grouped = _PERHAPS_THOUSANDS.fullmatch(text)
+        if decimal and grouped and grouped[1] != decimal and column.name != "id":
+            what = f"'{shorten(text)}' could be thousands: this table's other numbers have '{decimal}' for decimals"
+            problems.add(mark, what, "write it without a sign for thousands", code="bad-table")
+            continue
+        if decimal is not None and (match := _DECIMAL_COMMA.fullmatch(text)):
             text = f"{match[1]}.{match[2]}{match[3]}"
         if column.unit and _NUMBER.fullmatch(text):
             text = f"{text} {column.unit}"

@@ -76,6 +76,8 @@ class Batch:
         self._results = SampleResults(plan, cell, journal, observer, true_mass_mg)
         self._overshot: list[SampleResult] = []
         """The last samples that were dosed, as long as they overshot."""
+        self._under_way: tuple[Sample, int, float] | None = None
+        """The sample whose job runs, its attempt, and when that began [s]."""
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
@@ -91,6 +93,8 @@ class Batch:
             if not self._is_safe():
                 reason = f"{ending.reason}; a device did not stop".lstrip("; ")
                 ending = _ended(ExitCode.CELL_FAULT, reason, complete=ending.is_complete)
+            if self._under_way is not None:
+                self._note_interrupted(*self._under_way, failure=None)
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results.by_id:
                     self._note_unreached(job.name, job.sample)
@@ -162,6 +166,11 @@ class Batch:
         else:
             self._results.note(self._results.result_of(sample, SoFar(), "not run", None, 0.0, 1))
 
+    def _note_interrupted(self, sample: Sample, attempt: int, began_s: float, failure: SkillFailed | None) -> None:
+        """What has been done for a sample whose job did not come to its end."""
+        so_far = self._journal.so_far
+        self._results.note(self._results.result_of(sample, so_far, "interrupted", failure, began_s, attempt))
+
     def _run_service(self, job: Job, attempt: int) -> Ended | None:
         outcome = self._run_job(job, job.inputs, None, attempt)
         if outcome.failure is not None:
@@ -182,12 +191,12 @@ class Batch:
             if (ended := self._change_sheet(sample, attempt, has_begun=before is not None)) is not None:
                 return ended
             began_s = self._cell.clock.now_s if before is None else before.began_s
+            self._under_way = sample, attempt, began_s
             outcome = self._run_job(job, inputs_for(sample, attempt), sample.id, attempt)
+            self._under_way = None
             failure = outcome.failure
             if outcome.interrupted is not None:
-                self._results.note(
-                    self._results.result_of(sample, self._journal.so_far, "interrupted", failure, began_s, attempt)
-                )
+                self._note_interrupted(sample, attempt, began_s, failure)
                 if failure is not None:
                     return _ended(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
                 return _ended(ExitCode.INTERRUPTED, "interrupted")

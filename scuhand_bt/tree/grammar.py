@@ -297,7 +297,7 @@ def _read_codes(node: Node | None, problems: Problems) -> dict[str, Mark]:
 def _read_call(mark: Mark, name: str, body: Node, problems: Problems) -> Call | None:
     if isinstance(body, Scalar) and body.text is None:
         return Call(mark, name, {}, {}, None, mark)
-    if not isinstance(body, Entries) and nearest(name, KEYWORDS) is not None:
+    if isinstance(body, Items) and nearest(name, KEYWORDS) is not None:
         what = f"unknown node '{shorten(name)}'"
         problems.add(mark, what, unknown=name, known=KEYWORDS, code="unknown-name")
         return None

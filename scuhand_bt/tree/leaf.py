@@ -1,6 +1,8 @@
 """The leaf of a job's tree: it drives a skill's generator, and shares with the other nodes what a tick needs."""
 
+import traceback
 from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from py_trees.behaviour import Behaviour
@@ -353,8 +355,10 @@ class SkillLeaf(Behaviour):
 
 
 def bug_of(name: str, error: BaseException) -> SkillBug:
-    """What an exception of a skill's own code is."""
-    return SkillBug(f"the skill {name} broke: {type(error).__name__}: {error}")
+    """What an exception of a skill's own code is, and in which line of its file it came up."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).stem == name]
+    where = f" ({name}.py, line {lines[-1]})" if lines else ""
+    return SkillBug(f"the skill {name} broke: {type(error).__name__}: {error}{where}")
 
 
 def is_explained(skill: type[Skill[Any]], failure: SkillFailed) -> bool:

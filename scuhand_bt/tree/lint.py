@@ -6,6 +6,7 @@ forecast; a workflow that is wrong is not looked at. Where something cannot be t
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from inspect import getattr_static
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
@@ -239,6 +240,8 @@ class Lint:
                 return float(given.get(LASTING, 0.0))
             default = next(i.default for n, i in skill.model_fields.items() if (i.alias or n) == LASTING)
             return float(default) if isinstance(default, int | float) else 0.0
+        if all(getattr_static(skill, name) is getattr_static(Skill, name) for name in ("typical_s", "forecast")):
+            return 0.0  # the skill does not say how long it takes
         try:
             return skill.forecast(given, self._cell).duration_s / HASTE
         except (Exception, SystemExit):  # the lab's own code; that it breaks is told where a plan is made
