@@ -206,6 +206,17 @@ def test_a_dose_of_which_nothing_has_come_yet_opens_its_load_once_more() -> None
     assert dosed.run.finish.reason == "reached"
 
 
+@pytest.mark.parametrize(("cone_mg", "reason"), [(2200.0, "rest"), (1400.0, "empty")])
+def test_a_rest_is_left_far_from_the_target_too_where_it_tells_nothing_and_the_next_load_brings_as_much(
+    cone_mg: float, reason: str
+) -> None:
+    """Of a load that has brought more than was believed only the end tells how large it was."""
+    rig = Bench(POWDERS["monosodium_glutamate"], 2800.0, 3, 0, Setting(load_ratio=0.46))
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True, cone_mg=cone_mg)
+    assert dosed.run.finish.reason == reason
+    assert any(point.vibration for point in dosed.run.curve) == (reason == "empty")
+
+
 @pytest.mark.parametrize(
     ("came_mg", "cone_mg", "reason"), [(0.0, 4000.0, "reached"), (600.0, 3400.0, "reached"), (3000.0, 4000.0, "rest")]
 )
