@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from array import array
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
@@ -60,7 +61,7 @@ class TickTimes(BatchObserver):
     """Measures every tick of a run, by job."""
 
     def __init__(self) -> None:
-        self.ticks_us: dict[int, list[float]] = defaultdict(list)
+        self.ticks_us = defaultdict[int, "array[float]"](lambda: array("d"))
         self.job = 0
 
     def job_started(self, job: Job, number: int) -> None:

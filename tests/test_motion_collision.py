@@ -145,6 +145,28 @@ def test_a_curve_is_proven_free_exactly_where_close_samples_find_nothing(arm):
     assert 0.1 < np.mean(verdicts) < 0.9
 
 
+def swings_free(arm, needle_rad):
+    """Whether a wide swing of the arm, stretched out, is proven free where a needle stands in that direction."""
+    needle = Solid("needle", (0.66 * np.cos(needle_rad), 0.66 * np.sin(needle_rad), 0.5), cylinder_m=(0.002, 1.0))
+    space = Scene(arm, arm.with_sheet(HandSpec(), [90.0]), [needle], margin_m=0.02)
+    out, turn = np.array([0.0, -1.3, 0.0, -0.3, 0.0, 0.0, 0.0]), np.eye(7)[0]
+    return space.line_free(out - 2.2 * turn, out + 2.2 * turn)
+
+
+def test_a_needle_is_not_passed_between_the_few_samples_of_a_line_that_keeps_far_from_all_else(arm):
+    # Each is in the middle between two of the samples, neither of which comes within the margin of it.
+    assert swings_free(arm, 3.1)
+    assert not any(swings_free(arm, needle_rad) for needle_rad in np.linspace(-0.9, 0.9, 10))
+
+
+def test_what_is_hit_stays_so_whatever_else_was_looked_at(arm):
+    space, q = scene(arm), configurations(500)
+    hits = space.hits(q)
+    for begin in q[~hits][:20]:
+        space.line_free(begin, begin + 1e-3)  # some of them keep the wide margin, with which they are looked at last
+        assert np.array_equal(space.hits(q), hits)
+
+
 @pytest.mark.parametrize("tilt_limit_deg", [None, 60.0])
 def test_a_line_is_followed_to_its_last_free_sample(arm, tilt_limit_deg):
     hits = scene(arm)

@@ -41,7 +41,6 @@ _WIDE = 4.0
 """Times the margin: where a motion keeps that much from everything, so many times fewer samples prove it."""
 
 
-Pool: TypeAlias = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager
 CurveAt: TypeAlias = Callable[[Floats], Floats]
 """A motion: times (n,) to configurations (n, 7)."""
 
@@ -115,27 +114,12 @@ class Scene:
         self._data = self.model.createData()
 
     @cached_property
-    def _shape_data(self) -> pin.GeometryData:
-        return pin.GeometryData(self.shapes)
+    def _all(self) -> "_Pairs":
+        return _Pairs(self.model, self.shapes)
 
     @cached_property
-    def _pool(self) -> Pool:
-        return self._pooled(self.shapes, self.margin_m)
-
-    @cached_property
-    def _wide_pool(self) -> Pool:
-        return self._pooled(self.shapes, _WIDE * self.margin_m)
-
-    @cached_property
-    def _first_pool(self) -> Pool:
-        return self._pooled(self._foremost, self.margin_m)
-
-    def _pooled(self, shapes: pin.GeometryModel, margin_m: float) -> Pool:
-        pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, shapes, 1)
-        for data in pool.getGeometryDatas():
-            for request in data.collisionRequests:
-                request.security_margin = margin_m
-        return pool
+    def _first(self) -> "_Pairs":
+        return _Pairs(self.model, self._foremost)
 
     def hits(self, q: Floats) -> NDArray[np.bool_]:
         """Which of the configurations (n, 7) come nearer than the margin to anything: (n,) bool."""
@@ -143,7 +127,7 @@ class Scene:
         hit = self._outside(q)
         left = ~hit
         if left.any():
-            hit[left] = self._nearer(self._pool, q[left])
+            hit[left] = self._all.nearer(q[left], self.margin_m)
         return hit
 
     def _outside(self, q: Floats) -> NDArray[np.bool_]:
@@ -155,11 +139,11 @@ class Scene:
 
         Costs a sixth of `hits`: most of that goes into keeping track of shapes, few of which matter.
         """
-        return self._nearer(self._first_pool, q)
+        return self._first.nearer(q, self.margin_m)
 
     def any_hit(self, q: Floats) -> bool:
         """Whether any configuration of a path (n, 7) is hit."""
-        return bool(self._outside(q).any() or self._nearer(self._pool, q, until_first=True).any())
+        return bool(self._outside(q).any() or self._all.nearer(q, self.margin_m, until_first=True).any())
 
     def first_hit(self, q: Floats) -> Floats | None:
         """The first configuration (7,) of a path (n, 7) that is hit, looked for a few at a time; None where none is."""
@@ -171,10 +155,6 @@ class Scene:
                 return first
         return None
 
-    def _nearer(self, pool: Pool, q: Floats, until_first: bool = False) -> NDArray[np.bool_]:
-        columns = np.ascontiguousarray(q.T)
-        return np.asarray(pin.computeCollisionsInParallel(1, pool, columns, True, until_first), dtype=bool)
-
     def clearance_m(self, q: Floats) -> tuple[float, str]:
         """Exact distance of the closest pair at one configuration, negative inside, and the two names."""
         distances_m = self.distances_m(q)
@@ -185,8 +165,9 @@ class Scene:
 
     def distances_m(self, q: Floats) -> Floats:
         """Exact distances of all pairs at one configuration, negative inside: (pairs,)."""
-        pin.computeDistances(self.model, self._data, self.shapes, self._shape_data, q)
-        return np.array([result.min_distance for result in self._shape_data.distanceResults])
+        data = self._all.data
+        pin.computeDistances(self.model, self._data, self.shapes, data, q)
+        return np.array([result.min_distance for result in data.distanceResults])
 
     def touched(self, q: Floats) -> frozenset[str]:
         """The names of all solids of the cell that are nearer than the margin at one configuration."""
@@ -212,7 +193,7 @@ class Scene:
         # What is hit is so at many of them mostly: a few tell, at a tenth of the price.
         if self.any_hit(q[(_GLANCED_AT * (len(q) - 1)).astype(int)]):
             return False
-        near = self._nearer(self._wide_pool, q)
+        near = self._all.nearer(q, wide_m)
         if not near.any():
             return True
         if self.any_hit(q[near]):
@@ -254,6 +235,25 @@ class Scene:
             times_s, allowed_m = np.append(starts + within * widths, times_s[-1]), np.repeat(allowed_m, cuts)
             q = positions_at(times_s)
         raise ValueError("the curve jumps: no sampling proves it")
+
+
+class _Pairs:
+    """The pairs of one model, looked at with one margin or another: each of them takes 6 kB, so they are there once."""
+
+    def __init__(self, model: pin.Model, shapes: pin.GeometryModel) -> None:
+        self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(model, shapes, 1)
+        self.data: pin.GeometryData = self._pool.getGeometryDatas()[0]
+        self._requests = list(self.data.collisionRequests)
+        self._margin_m = 0.0
+
+    def nearer(self, q: Floats, margin_m: float, until_first: bool = False) -> NDArray[np.bool_]:
+        """Which of the configurations (n, 7) have a pair nearer than this, (n,) bool; `until_first` if any only."""
+        if margin_m != self._margin_m:
+            for request in self._requests:
+                request.security_margin = margin_m
+            self._margin_m = margin_m
+        columns = np.ascontiguousarray(q.T)
+        return np.asarray(pin.computeCollisionsInParallel(1, self._pool, columns, True, until_first), dtype=bool)
 
 
 def _foremost(arm: Arm, shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:

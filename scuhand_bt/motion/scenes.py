@@ -1,7 +1,7 @@
 """The cell's scenes: the arm with one size of cone among what stands there, built when first needed.
 
-The last ones are kept, as one stroke's is asked for in each of its directions; each holds a megabyte or two, 20 where a
-mortar may be touched.
+The last ones are kept, as one stroke's is asked for in each of its directions; each holds a megabyte, 10 where a mortar
+may be touched.
 
 Lengths in metres.
 """
@@ -26,7 +26,7 @@ CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
 SCENES_KEPT, STROKES_KEPT = 12, 2
 """A mortar that may be touched is two hundred solids: its scene has fifteen times as many pairs as another, each of
-which takes 6 kB in every pool."""
+which takes 6 kB."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,7 +97,8 @@ class Odds:
     trials: int
     duration_s: Range
     began_s: Mapping[str, Range]
-    """When each job begins, by its name; of those that any trial has begun."""
+    """When each job begins, by its name; of those that any trial has begun. None before one that comes before it,
+    however few trials have come as far."""
     asked_s: Mapping[str, Range]
     """When a person is first asked for something in a job, by its name; of those in which any trial has asked one."""
     moments_s: Mapping[str, Sequence[Range]]
@@ -173,7 +174,7 @@ def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> O
     return Odds(
         trials=len(found),
         duration_s=_of_times([trial.duration_s for trial in found]),
-        began_s=_of_jobs(plan, [trial.began_s for trial in found]),
+        began_s=_in_turn(_of_jobs(plan, [trial.began_s for trial in found])),
         asked_s=_of_jobs(plan, [{job: of[0][0] for job, of in trial.asked_s.items()} for trial in found]),
         moments_s={job: _moments(moments[job], of_trials) for job, of_trials in asked_s.items() if of_trials},
         ended={job.name: sum(job.name in of_s for of_s in ends_s) for job in plan.jobs},
@@ -214,6 +215,12 @@ def _of_jobs(plan: Plan, times_s: Sequence[Mapping[str, float]]) -> dict[str, Ra
     """A time of each job, by trials; of those that any has."""
     by_job = {job.name: [of[job.name] for of in times_s if job.name in of] for job in plan.jobs}
     return {job: _of_times(found) for job, found in by_job.items() if found}
+
+
+def _in_turn(times_s: Mapping[str, Range]) -> dict[str, Range]:
+    """None of them earlier than one before it."""
+    last = Range(0.0, 0.0, 0.0)
+    return {job: (last := found.no_earlier_than(last)) for job, found in times_s.items()}
 
 
 def _moments(many: int, asked_s: Sequence[Sequence[Sequence[float]]]) -> list[Range]:
