@@ -185,6 +185,13 @@ def test_skills_and_trees_list_and_show_one(command: Call) -> None:
     assert "\nworkflow: fill\n" in command("trees", "fill").stdout
 
 
+def test_a_workflow_is_shown_line_by_line_as_it_is_written(command: Call, lab_folder: LabFolder) -> None:
+    asked = "{question: " + 40 * "Is it still there? " + "}"
+    text = f"workflow: long\ntree: {{sequence: [{{ask_operator: {asked}}}]}}\n"
+    lab_folder.write("trees/long.yaml", text)
+    assert command("trees", "long", "--lab", lab_folder.folder).stdout == text
+
+
 @pytest.mark.parametrize("listing", ["skills", "trees"])
 def test_an_unknown_name_is_code_2_with_the_known_ones(command: Call, listing: str) -> None:
     ended = command(listing, "nosuch")

@@ -97,6 +97,17 @@ def test_all_that_a_person_is_needed_for_at_a_moment_is_said(plan: Plan) -> None
     assert str(found["m-1"]).endswith(f": {swap.what}; refill 'a'")
 
 
+def test_no_job_is_told_to_begin_before_one_that_comes_before_it(plan: Plan) -> None:
+    """Of three dry runs the slow one was stopped before the last sample: that began after 11 min, that before it 12."""
+    slow, quick = trial_of(plan, 600.0), trial_of(plan, 100.0)
+    stopped = replace(slow, began_s=dict([*slow.began_s.items()][:-2]))
+    odds = odds_of(plan, [stopped, replace(stopped, seed=1), quick])
+    began_s = [*odds.began_s.values()]
+    for name in ("low", "middle", "high"):
+        times_s = [getattr(one, name) for one in began_s]
+        assert times_s == sorted(times_s)
+
+
 def test_a_sample_that_ends_too_late_is_not_done(desk: Desk) -> None:
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)

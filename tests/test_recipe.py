@@ -244,3 +244,10 @@ def test_a_table_of_something_else_is_one_problem(desk: Desk) -> None:
     assert desk.problems(HEAD + f"  - {{table: {path.name}}}\n") == [
         "1:1: has no column 'id', and so is no table of samples; id, container, mass [mg], …"
     ]
+
+
+def test_a_table_whose_id_is_written_otherwise_is_told_how_it_is_written(desk: Desk) -> None:
+    path = desk.write("other.csv", "ID;mass [mg]\na;50\n")
+    assert desk.problems(HEAD + f"  - {{table: {path.name}}}\n") == [
+        "1:1: has no column 'id', and so is no table of samples; write 'id' for 'ID'"
+    ]

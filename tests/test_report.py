@@ -95,6 +95,16 @@ def test_the_runs_summary_and_every_dose_with_its_curve_are_in_it(ran: Ran) -> N
     assert page.elements.count("figure") == len(ran.result.samples)
 
 
+def test_a_load_that_was_not_the_last_of_its_dose_is_not_told_with_its_verdict(tmp_path: Path) -> None:
+    samples = "samples: [{id: a, source: beads, container: alumina_crucible, mass: 7 g, tolerance: 50 mg}]\n"
+    ran = dry_run(tmp_path, f"recipe: large\nworkflow: scoop_and_dispense\n{samples}")
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page_of(ran.journal))
+    *parts, whole = captions
+    assert len(parts) >= 1
+    assert all(caption.endswith('of 7.0000 g <span class="soft">so far</span>') for caption in parts)
+    assert whole.endswith('<span class="good">in tolerance</span>')
+
+
 def test_who_reads_the_times_of_jobs_sees_their_unit(ran: Ran) -> None:
     """It stood in the table's name alone, which only a screen reader says."""
     assert "Run time, of each job in seconds." in Tables(page_of(ran.journal)).text

@@ -61,7 +61,7 @@ def trees(
         if bt_xml or svg:
             out.file.write(to_xml(loaded.library, name) if bt_xml else drawn(workflow))
             return
-        out.print(Text((loaded.folder / "trees" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()))
+        out.print(Text((loaded.folder / "trees" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()), soft_wrap=True)
         return
     table = Table("workflow", "inputs", "what it is for", show_edge=False)
     for key, workflow in loaded.library.workflows.items():

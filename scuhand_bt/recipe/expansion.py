@@ -40,13 +40,10 @@ def expand(
         shared = node.without("table")
         rows = read_table(folder / table.text, table.mark, problems)
         if rows and not any("id" in row.keys for row in (shared, *rows)):
-            header = Mark(rows[0].mark.file)
-            problems.add(
-                header,
-                "has no column 'id', and so is no table of samples",
-                "id, container, mass [mg], …",
-                code="bad-table",
-            )
+            what = "has no column 'id', and so is no table of samples"
+            meant = next((name for row in rows for name in row.keys if name.lower() == "id"), None)
+            allowed = f"write 'id' for '{meant}'" if meant else "id, container, mass [mg], …"
+            problems.add(Mark(rows[0].mark.file), what, allowed, code="bad-table")
             return
         for row in rows:
             if "table" in row.keys:

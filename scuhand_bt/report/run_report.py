@@ -318,16 +318,25 @@ def _curves(facts: RunFacts) -> Iterator[tuple[str, str, str, Markup]]:
         rows = list(dose_rows(result))
         for dosed, row in zip(result.doses, rows[-len(result.doses) :], strict=bool(result.doses)):
             said[result.id, result.attempt, dosed.container, dosed.lot] = row
-    for curve in facts.curves:
-        if not curve.points:
-            continue
+    drawn = [curve for curve in facts.curves if curve.points]
+    ends = {_dosed(curve): curve for curve in drawn}
+    for curve in drawn:
         dose = curve.dose
         again = f", attempt {curve.attempt}" if curve.attempt > 1 else ""
         caption = f"{curve.sample}{again}: {format_mass(dose.dispensed_mg)} of {format_mass(dose.target_mg)}"
-        last = said.get((curve.sample, curve.attempt, dose.container, dose.lot))
-        tone = last.tone if last is not None else "good" if dose.verdict == "in tolerance" else "bad"
-        verdict = last.cells["verdict"] if last is not None else dose.verdict
+        last = said.get(_dosed(curve))
+        if curve is not ends[_dosed(curve)]:
+            tone, verdict = "soft", "so far"
+        elif last is not None:
+            tone, verdict = last.tone, last.cells["verdict"]
+        else:
+            tone, verdict = "good" if dose.verdict == "in tolerance" else "bad", dose.verdict
         yield caption, tone, verdict, Markup(figures.draw(curve))
+
+
+def _dosed(curve: CurveOfDose) -> tuple[str, int, str, str]:
+    """What a course is of: all loads of a lot into one container are one dose."""
+    return curve.sample, curve.attempt, curve.dose.container, curve.dose.lot
 
 
 def _motions(contents: Contents) -> tuple[Mapping[str, str] | None, str]:
