@@ -1,6 +1,7 @@
 import math
 from collections import deque
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -170,6 +171,39 @@ def test_far_from_the_target_a_loads_rest_is_shaken_out_and_no_farther(target_mg
     assert -500.0 < dosed.true_error_mg < -200.0
     shaken_mg = target_mg + dosed.true_error_mg - (4000.0 - SALT_REST_MG)
     assert dosed.run.finish.shaken_mg == pytest.approx(shaken_mg, abs=5.0)
+
+
+@pytest.mark.parametrize("seed", [3, 7, 8])
+@pytest.mark.parametrize("may_scoop_again", [True, False])
+def test_where_next_to_nothing_comes_any_more_a_load_that_has_flowed_is_scooped_anew(
+    seed: int, may_scoop_again: bool
+) -> None:
+    """What trickled out of a load's end kept some doses for 40 s, and a fresh load was needed all the same."""
+    rig = Bench(BEADS, 450.0, seed, 0, Setting(load_ratio=0.08))
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=may_scoop_again, cone_mg=300.0, came_mg=1500.0)
+    widths_mm = [point.opening_mm for point in dosed.run.curve]
+    openings = sum(before == 0.0 < now for before, now in pairwise(widths_mm))
+    if may_scoop_again:
+        assert (dosed.run.finish.reason, openings) == ("rest", 2)
+        assert dosed.true_error_mg > -80.0
+    else:
+        assert dosed.run.finish.reason == "empty"
+        assert openings > 5
+
+
+@pytest.mark.parametrize("seed", [14, 16, 37])
+def test_near_the_target_so_little_is_to_come_that_its_want_is_no_end_of_a_load(seed: int) -> None:
+    rig = Bench(POWDERS["monosodium_glutamate"], 100.0, seed, 0, Setting(load_ratio=0.8))
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True, cone_mg=4000.0, came_mg=3000.0)
+    assert dosed.run.finish.reason == "reached"
+
+
+def test_a_dose_of_which_nothing_has_come_yet_opens_its_load_once_more() -> None:
+    rig = Bench(POWDERS["monosodium_glutamate"], 480.0, 25, 0, Setting(load_ratio=0.8))
+    known = rig.powder.belief.model_copy(update={"doses": 3})
+    changes = {"may_scoop_again": True, "cone_mg": 4000.0, "came_mg": 3000.0}
+    dosed = rig.dose("adaptive", known, STEPPED, **changes)
+    assert dosed.run.finish.reason == "reached"
 
 
 @pytest.mark.parametrize(

@@ -126,8 +126,7 @@ class Adaptive:
             yield from self._look(REST_MG)
             if predicted_mg - known.begin_mg > COMES_MG:
                 known.judge_prediction(predicted_mg, sd_mg)
-            self._take_in(ended)
-            gave_out = self._gave_out()
+            gave_out = self._gave_out(ebbs=self._take_in(ended))
             if gave_out is None and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):
                 known.begin(float(np.mean([row.reading_mg for row in known.rows[-LOOKED:]])), LOOKED_SD_MG)
                 continue
@@ -138,13 +137,16 @@ class Adaptive:
                 return known.finish(verdict, seen)
         return known.finish("step_limit", seen)
 
-    def _take_in(self, ended: Ended) -> None:
-        """What an opening and its look have told."""
+    def _take_in(self, ended: Ended) -> bool:
+        """What an opening and its look have told; whether next to nothing came, of what flowed before."""
         known = self._known
         gained_mg = known.bank.mass_mg - known.begin_mg
         if self._given_up != "empty":  # else a fresh load brings the rest sooner
             self._note_gain(CAME_SHARE * CAME_MG if known.room_mg > FAR_MG else COMES_MG)
-        expected_mg = known.reference * sum(row.phi_s for row in known.rows)
+        phi_s = sum(row.phi_s for row in known.rows)
+        should_mg = known.seen_now * phi_s if self._has_come else 0.0
+        ebbs = should_mg > CAME_MG and gained_mg < CAME_SHARE * should_mg and not self._is_lumpy
+        expected_mg = known.reference * phi_s
         came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), CAME_NOISES * known.noise.quiet_mg)
         self._has_come |= came
         if came and self._vibration <= known.belief.vibration:
@@ -158,6 +160,7 @@ class Adaptive:
         if ended in ("quiet", "fear", "missing", "lump") and in_vain:
             known.little_came()
         self._shake(came)
+        return ebbs
 
     def _weigh(self) -> Generator[Command, Observation, Observation]:
         """A stable mean; again, and with doubts about the balance, while it is not what its readings led to expect."""
@@ -174,8 +177,8 @@ class Adaptive:
         known.uncertainty_mg = max(known.uncertainty_mg, seen.uncertainty_mg)
         return seen
 
-    def _gave_out(self) -> Reason | None:
-        """Why the dose does not go on out of this load, if it does not."""
+    def _gave_out(self, *, ebbs: bool = False) -> Reason | None:
+        """Why the dose does not go on out of this load, if it does not. `ebbs`: an opening brought next to nothing."""
         request, room_mg = self._known.request, self._known.room_mg
         has_flowed = request.came_mg + self._dosed_mg > FLOWED_SHARE * (request.came_mg + request.cone_mg)
         may_scoop = request.may_scoop_again and has_flowed
@@ -187,7 +190,7 @@ class Adaptive:
             dry_s = SCOOPED_ANEW_S if is_too_little and not self._is_lumpy else EMPTY_S
         if self._barren_s > dry_s:
             return self._given_up
-        comes_only_shaken = self._vibration > request.powder.vibration
+        comes_only_shaken = self._vibration > request.powder.vibration or ebbs
         return "rest" if may_scoop and comes_only_shaken and room_mg < LAST_MG else None
 
     @property
