@@ -29,6 +29,7 @@ from scuhand_bt.dosing.bracket import (
     watch_s,
 )
 from scuhand_bt.dosing.characteristic import held_mg
+from scuhand_bt.dosing.flow import free_flow
 from scuhand_bt.dosing.forecast import dose_s, full_flow_s
 from scuhand_bt.dosing.hidden_step import fallen_beside_mg
 from scuhand_bt.dosing.verdict import judge
@@ -310,6 +311,7 @@ class Dispense(Skill[Dose]):
             may_scoop_again=self.may_scoop_again and cell.believed.sources_mg[source.name] > FRESH_LOAD_MG,
             cone_doubt_mg=SCOOP_DOUBT * powder.load_limit_mg,
             streaming=hand.streaming,
+            free_flow=free_flow(powder.bulk_density_mg_per_mm3),
             powder=cell.powder_beliefs.get(source.sheet_key, powder.belief),
             balance=cell.balance_belief,
         )

@@ -20,6 +20,7 @@ from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import Drift, Net, Reference
+from scuhand_bt.dosing.flow import free_flow
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.record import Record
@@ -131,6 +132,7 @@ class Bench:
             balance_period_s=spec.period_s,
             cone_mg=self.load_mg,
             streaming=hand.streaming,
+            free_flow=free_flow(powder.bulk_density_mg_per_mm3),
             powder=belief or self.powder.belief,
             balance=balance,
         )

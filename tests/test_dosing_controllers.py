@@ -206,6 +206,17 @@ def test_a_dose_of_which_nothing_has_come_yet_opens_its_load_once_more() -> None
     assert dosed.run.finish.reason == "reached"
 
 
+@pytest.mark.parametrize(("cone_mg", "reason"), [(2200.0, "rest"), (1400.0, "empty")])
+def test_a_rest_is_left_far_from_the_target_too_where_it_tells_nothing_and_the_next_load_brings_as_much(
+    cone_mg: float, reason: str
+) -> None:
+    """Of a load that has brought more than was believed only the end tells how large it was."""
+    rig = Bench(POWDERS["monosodium_glutamate"], 2800.0, 3, 0, Setting(load_ratio=0.46))
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True, cone_mg=cone_mg)
+    assert dosed.run.finish.reason == reason
+    assert any(point.vibration for point in dosed.run.curve) == (reason == "empty")
+
+
 @pytest.mark.parametrize(
     ("came_mg", "cone_mg", "reason"), [(0.0, 4000.0, "reached"), (600.0, 3400.0, "reached"), (3000.0, 4000.0, "rest")]
 )
@@ -412,3 +423,15 @@ def test_an_opening_is_no_wider_than_the_powders_limit_though_nothing_comes_of_i
     limited = BEADS.model_copy(update={"max_opening_mm": 0.2, "simulation": simulated})
     dosed = Bench(limited, 20.0).dose("adaptive", balance=STEPPED)
     assert max(point.opening_mm for point in dosed.run.curve) <= 0.2
+
+
+@pytest.mark.parametrize("share", [0.1, 0.01, 0.001])
+def test_a_powder_that_flows_far_more_strongly_than_it_is_believed_to_is_not_too_much_in_its_first_doses(
+    share: float,
+) -> None:
+    powder, balance = POWDERS["glass_beads"], BalanceBelief(fits=1, lag_s=0.3, shown_s=0.6, doubt=0.12)
+    belief = powder.belief.model_copy(update={"coefficient": share * powder.belief.coefficient})
+    for dose in range(3):
+        dosed = Bench(powder, 50.0, seed=4, dose=dose).dose("adaptive", belief, balance)
+        belief, balance = dosed.learnt(belief, balance)
+        assert abs(dosed.true_error_mg) < 2.0, f"dose {dose + 1}"

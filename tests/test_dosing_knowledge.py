@@ -54,6 +54,11 @@ class Scale:
         return self.known.reference
 
 
+def test_of_a_flow_a_hundred_times_the_believed_one_no_lumps_explain_anything() -> None:
+    known = Knowledge(request(powder=BEADS.model_copy(update={"coefficient": BEADS.coefficient / 100.0})))
+    assert Scale(known, BEADS.coefficient).opening(1.0, 2.0) > 0.5 * BEADS.coefficient
+
+
 def test_a_stronger_flow_is_believed_at_once_and_a_weaker_one_little_by_little() -> None:
     known = Knowledge(request())
     assert Scale(known, 2.0 * BEADS.coefficient).opening(1.0, 2.0) > 1.7 * BEADS.coefficient

@@ -213,6 +213,16 @@ def test_those_for_less_keep_farther_from_the_wall_than_any_for_all() -> None:
     assert for_less[0] == replace(chosen(bed, LADLE, 2000.0), heading_deg=90.0)
 
 
+def test_of_the_last_of_a_small_bowl_a_little_is_taken_where_there_is_no_stroke_for_more() -> None:
+    """The last sample was lost to arm.no_path, with half a gram in the mortar, of which strokes bring a fifth each."""
+    bowl = Mortar(name="small", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0)
+    bed = Bed(bowl, 493.0, POWDERS["monosodium_glutamate"], Layer(gap_mm=0.1, mass_mg=29.1, beside_mg=635.4))
+    with pytest.raises(NoStrokeError, match="beyond its middle, past the powder"):
+        chosen(bed, LADLE, 490.0)
+    stroke = next(strokes_for_less(bed, LADLE, 1960.0, [90.0]))
+    assert expected_mg(stroke, bed, LADLE.slant_mm) == pytest.approx(99.0, abs=1.0)
+
+
 def test_the_less_there_is_the_more_of_it_lies_at_the_sides_where_strokes_leave_it() -> None:
     """Taken to lie as thick everywhere, what was left brought 1.04 of what was expected at first and 0.75 at last."""
     powder = POWDERS["monosodium_glutamate"]

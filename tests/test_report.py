@@ -4,6 +4,7 @@ import base64
 import gzip
 import re
 import time
+import warnings
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -103,6 +104,15 @@ def test_a_load_that_was_not_the_last_of_its_dose_is_not_told_with_its_verdict(t
     assert len(parts) >= 1
     assert all(caption.endswith('of 7.0000 g <span class="soft">so far</span>') for caption in parts)
     assert whole.endswith('<span class="good">in tolerance</span>')
+
+
+def test_ids_in_another_script_are_drawn_as_text_without_a_word_about_fonts(tmp_path: Path) -> None:
+    samples = "samples: [{id: 試料, source: beads, container: xrd_holder, mass: 50 mg}]\n"
+    ran = dry_run(tmp_path, f"recipe: r\nworkflow: scoop_and_dispense\n{samples}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pictures = re.findall(r"<svg.*?</svg>", page_of(ran.journal))
+    assert any(">試料</text>" in picture for picture in pictures)
 
 
 def test_who_reads_the_times_of_jobs_sees_their_unit(ran: Ran) -> None:

@@ -813,6 +813,14 @@ def test_one_more_run_uses_what_a_few_dry_runs_say_nine_times_of_ten(setup: Setu
     assert inside["used"] == inside["kept"] == pytest.approx(180, abs=12)
 
 
+def test_a_cell_may_use_some_milligrams_more_than_dry_runs_that_all_use_the_same(setup: Setup) -> None:
+    lab = load_lab(setup.lab)
+    one = fake(0, 600.0, "abc")
+    had = [replace(one, used_mg={"beads": mg}) for mg in (2000.0, 2000.4, 1999.6)]
+    said = odds_of(make_plan(load_recipe(setup.recipe, lab), lab), had).used_mg["beads"]
+    assert (said.low, said.high) == pytest.approx((1983.5, 2016.5), abs=0.5)
+
+
 def test_no_mass_is_said_to_be_less_than_none(setup: Setup) -> None:
     lab = load_lab(setup.lab)
     plan = make_plan(load_recipe(setup.recipe, lab), lab)

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 
 from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.dosing.flow import GRAVITY_MM_PER_S2
 from scuhand_bt.specs import ContainerKind, Mortar, Source
 
 Position = tuple[float, float, float]
@@ -18,7 +19,6 @@ MOUTH_CLEARANCE_MM = 15.0
 """Apex above a container's mouth, where that is higher."""
 CLEAR_MM = 90.0
 """The apex must be this far aside from the pan's centre while containers are changed."""
-GRAVITY_MM_PER_S2 = 9810.0
 HOVER_MM = 25.0
 """Apex above a mortar's rim, or above the opening of the waste bin."""
 

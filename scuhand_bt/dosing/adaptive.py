@@ -67,6 +67,9 @@ PRIMES_S = 10.0
 LAST_MG = 500.0
 """So near to the target the rest of a load is left for a fresh one: shaken it flows several times as fast as before,
 which is seen late."""
+RESTS_SHARE = 0.2
+"""Of a load: where more should be in it still, and next to nothing comes, that is its rest; else its end is near, which
+tells how large it was."""
 FLOWED_SHARE = 1 / 3
 """Of a load; before, a bridge is likelier than that the rest does not flow."""
 EMPTY_S, DRY_S = 8.0, 60.0
@@ -180,9 +183,10 @@ class Adaptive:
     def _gave_out(self, *, ebbs: bool = False) -> Reason | None:
         """Why the dose does not go on out of this load, if it does not. `ebbs`: an opening brought next to nothing."""
         request, room_mg = self._known.request, self._known.room_mg
-        has_flowed = request.came_mg + self._dosed_mg > FLOWED_SHARE * (request.came_mg + request.cone_mg)
-        may_scoop = request.may_scoop_again and has_flowed
-        if self._given_up != "empty":
+        came_mg, load_mg = request.came_mg + self._dosed_mg, request.came_mg + request.cone_mg
+        may_scoop = request.may_scoop_again and came_mg > FLOWED_SHARE * load_mg
+        is_empty = self._given_up == "empty"
+        if not is_empty:
             dry_s = EMPTY_S if may_scoop and room_mg > FAR_MG else DRY_S
         else:
             is_too_little = self._has_come and room_mg > max(request.cone_mg - self._dosed_mg, FAR_MG)
@@ -191,7 +195,9 @@ class Adaptive:
         if self._barren_s > dry_s:
             return self._given_up
         comes_only_shaken = self._vibration > request.powder.vibration or ebbs
-        return "rest" if may_scoop and comes_only_shaken and room_mg < LAST_MG else None
+        # The next load brings as much as this one has brought by itself sooner than this one when it is shaken.
+        fresh_mg = max(LAST_MG, came_mg) if is_empty and came_mg < (1.0 - RESTS_SHARE) * load_mg else LAST_MG
+        return "rest" if may_scoop and comes_only_shaken and room_mg < fresh_mg else None
 
     @property
     def _given_up(self) -> Reason:

@@ -16,7 +16,7 @@ AnyBed: TypeAlias = Bed | JarBed
 
 NARROWER_MM = (8.0, 16.0, 24.0)
 """How much narrower rims are tried where the arm can make no stroke with the widest."""
-LESSER = (0.5, 0.25)
+LESSER = (0.5, 0.25, 0.125, 0.0625)
 """Of what is wanted, the shares for which there often is a stroke in a bowl where there is none for all of it, or none
 that the arm can make, as its lip would come too low."""
 

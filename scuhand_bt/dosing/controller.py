@@ -132,6 +132,8 @@ class DoseRequest:
     balance_period_s: float = 0.1
     step_limit: int = 100
     """The most pulses a stepwise controller may take (paper: 100)."""
+    free_flow: float = 0.0
+    """As strongly as powder of its density flows where nothing holds it back, C' [mg s^-1 mm^-2.5]; 0 for unknown."""
     powder: PowderBelief = field(default_factory=PowderBelief)
     balance: BalanceBelief = field(default_factory=BalanceBelief)
 

@@ -10,10 +10,14 @@ paper's: the two ramps together pass 2T/3.5, not T, and C' is not the same for a
 small.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 EXPONENT = 2.5
+BEVERLOO_C = 0.58
+"""Nedderman, Statics and Kinematics of Granular Materials, 1992, 10.2."""
+GRAVITY_MM_PER_S2 = 9810.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,3 +44,8 @@ def fit_coefficient(bases: Sequence[float], masses_mg: Sequence[float]) -> float
     if square <= 0.0:
         raise ValueError("no pulse opened the valve: nothing to fit")
     return sum(b * w for b, w in zip(bases, masses_mg, strict=True)) / square
+
+
+def free_flow(bulk_density_mg_per_mm3: float) -> float:
+    """C' of powder of this density that nothing holds back, its grains being small [mg s^-1 mm^-2.5]."""
+    return BEVERLOO_C * bulk_density_mg_per_mm3 * math.sqrt(GRAVITY_MM_PER_S2)

@@ -52,6 +52,8 @@ ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
 """How fast it is learnt that predictions are worse than they claim; and the most that one of them tells."""
 DIFFERS = 0.5
 """By how much the flow may differ from what is believed, as a logarithm."""
+HARDLY_EVER = 2.6
+"""Standard deviations that a flow is above its reference once in 200 times."""
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
 """What doses are taken to differ by, at least: until a second one was seen, and ever."""
 NEAR_MG = 20.0
@@ -72,7 +74,8 @@ class Knowledge:
         self.noise = Noise(self.balance.noise_mg, self.balance.shaken_noise_mg, request.readability_mg)
         self.reference = self.belief.coefficient
         """The flow's coefficient when nothing is in its way."""
-        self.spread = UNKNOWN_SPREAD if self.belief.doses == 0 else self.belief.spread
+        unknown = max(UNKNOWN_SPREAD, request.free_flow / (HARDLY_EVER * self.reference))
+        self.spread = unknown if self.belief.doses == 0 else self.belief.spread
         """What a new opening's flow may be off by, relative to the reference."""
         self.error_mm = UNKNOWN_ERROR_MM if self.belief.doses == 0 else OPENING_ERROR_MM
         """What the opening is off by, and the threshold: their standard deviation."""
@@ -283,7 +286,8 @@ class Knowledge:
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
         # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
         strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
-        found = self.reference * (strongest / self.reference) ** self._told(gap_mm, phi_s)
+        told = self._told(gap_mm, max(gained_mg, self.reference * phi_s))
+        found = self.reference * (strongest / self.reference) ** told
         if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
         elif gained_mg < RISEN * noise_mg:  # nothing at all, though something should have come
@@ -293,7 +297,7 @@ class Knowledge:
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
         if was_held_up:  # what comes when nothing is in its way is as little known as before
             spread = max(spread, self.spread)
-        self.spread = min(spread, UNKNOWN_SPREAD)
+        self.spread = min(spread, max(self.spread, UNKNOWN_SPREAD))
         if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
             self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
 
@@ -302,10 +306,13 @@ class Knowledge:
         self.reference = coefficient
         self._ratios = [(1.0, math.log(coefficient / self.belief.coefficient), self.gap_mm)]
 
-    def _told(self, gap_mm: float, phi_s: float) -> float:
-        """What an opening tells of the flow's coefficient, for what its width may be off, and for lumps by chance."""
+    def _told(self, gap_mm: float, mass_mg: float) -> float:
+        """What an opening tells of the flow's coefficient, for what its width may be off, and for lumps by chance.
+
+        `mass_mg` is what came of it or should have, whichever is more: no lumps are as many as what never was expected.
+        """
         width = self.shape.exponent * OPENING_ERROR_MM / gap_mm
-        lumps = 2.0 * self.surge_mg / (self.reference * phi_s)
+        lumps = 2.0 * self.surge_mg / mass_mg
         return DIFFERS**2 / (DIFFERS**2 + width**2 + lumps)
 
     def little_came(self) -> None:

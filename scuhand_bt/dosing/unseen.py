@@ -11,14 +11,12 @@ import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK
 from scuhand_bt.dosing.estimation import EXPONENT_ERROR, UNKNOWN_ERROR_MM
-from scuhand_bt.dosing.knowledge import LEAST_HOLD_S, Knowledge
+from scuhand_bt.dosing.knowledge import HARDLY_EVER, LEAST_HOLD_S, Knowledge
 
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
 """How much more of the flow it is allowed for then, at most."""
-HARDLY_EVER = 2.6
-"""Standard deviations that a flow is above its reference once in 200 times."""
 SEEN_S, SEEN_READINGS = 0.4, 2
 """So long after the balance's delay, and so many readings, it is seen whether the sheet has stuck."""
 NARROWER = 0.95

@@ -5,6 +5,7 @@ What is drawn in `INK` takes the colour of the text around it, so that one pictu
 
 import io
 import re
+import warnings
 from contextlib import AbstractContextManager
 
 from matplotlib import rc_context
@@ -49,7 +50,9 @@ def drawing() -> AbstractContextManager[None]:
 def as_svg(figure: Figure, label: str) -> str:
     """The figure's `<svg>` element; `label` says in words what it shows, and is escaped by nobody but this."""
     text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)  # the page's font has it
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :].strip()
     svg = _FONT.sub(lambda found: f"font-size: {found[1]}; " if found[1] else "", svg)
