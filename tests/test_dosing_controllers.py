@@ -258,7 +258,7 @@ def test_a_hand_that_takes_steps_only_lets_no_pulse_bring_far_more_than_is_missi
     assert dosed.run.finish.reason == "reached"
 
 
-@pytest.mark.parametrize("seed", [2, 6, 12, 33])
+@pytest.mark.parametrize("seed", [5, 21, 27, 37])
 def test_a_bridge_of_lumps_is_no_end_of_a_load_that_holds_more_than_is_believed(seed: int) -> None:
     rig = Bench(POWDERS["titanium_dioxide"], 4500.0, seed, 0, Setting(load_ratio=1.6))
     dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True, cone_mg=3600.0)
