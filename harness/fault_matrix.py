@@ -44,7 +44,7 @@ CODES: Mapping[str, set[str]] = {
     "balance.silent": {"device.lost"},
     "balance.garbage": {RECOVERS, "device.lost"},
     "balance.bit_flips": {RECOVERS},
-    "balance.restarted": {RECOVERS, "container.changed", "device.lost"},
+    "balance.restarted": {RECOVERS, "container.moved", "container.changed", "device.lost"},
     "balance.unstable": {"balance.unstable"},
     "balance.overload": {"balance.overload"},
     "balance.drifting": {"balance.unstable", "hand.leak"},
