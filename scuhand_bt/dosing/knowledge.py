@@ -286,7 +286,7 @@ class Knowledge:
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
         # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
         strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
-        told = self._told(gap_mm, max(gained_mg, self.reference * phi_s))
+        told = self._told(gap_mm, max(gained_mg - PEAK_LUMPS * self.surge_mg, self.reference * phi_s))
         found = self.reference * (strongest / self.reference) ** told
         if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
@@ -309,7 +309,7 @@ class Knowledge:
     def _told(self, gap_mm: float, mass_mg: float) -> float:
         """What an opening tells of the flow's coefficient, for what its width may be off, and for lumps by chance.
 
-        `mass_mg` is what came of it or should have, whichever is more: no lumps are as many as what never was expected.
+        `mass_mg` is what should have come of it, or what more came than a few lumps make: they explain no more.
         """
         width = self.shape.exponent * OPENING_ERROR_MM / gap_mm
         lumps = 2.0 * self.surge_mg / mass_mg
