@@ -74,7 +74,7 @@ def test_a_skill_that_writes_the_engines_entries_is_a_bug_and_leaves_a_journal_t
     assert ran.result.exit_code == 3
     assert ran.result.reason.startswith("the skill sieve broke: ")
     assert why in ran.result.reason
-    assert [sample.verdict for sample in ran.result.samples] == ["not run", "not run"]
+    assert [sample.verdict for sample in ran.result.samples] == ["interrupted", "not run"]
     for words in (("show",), ("show", "--json"), ("verify",), ("export", "--json"), ("export", "--csv")):
         code, out, err = command(words[0], ran.journal, *words[1:])
         assert (code, err) == (0, ""), words

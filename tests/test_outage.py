@@ -293,7 +293,7 @@ def test_a_balance_that_was_off_within_a_dose_stops_it_and_the_resumed_run_weigh
     off = parse_faults("faults: [{fault: balance.restarted, at_pulse: 1}]", "off")
     made.batch = replace(made.batch, faults=off)
     assert made.resume() == 3
-    assert made.sample()["code"] == "container.changed"
+    assert made.sample()["code"] == "container.moved"
     assert made.resume() == 0
     assert good(made.sample())
     assert made.sample()["dispensed_mg"] == pytest.approx(made.sample()["true_mg"], abs=0.5)
