@@ -59,6 +59,14 @@ def test_of_a_flow_a_hundred_times_the_believed_one_no_lumps_explain_anything() 
     assert Scale(known, BEADS.coefficient).opening(1.0, 2.0) > 0.5 * BEADS.coefficient
 
 
+def test_a_single_lump_teaches_no_stronger_flow() -> None:
+    known = Knowledge(request(powder=BEADS.model_copy(update={"doses": 3, "surge_mg": 2.5})))
+    scale = Scale(known, 0.2 * BEADS.coefficient)
+    scale.act(0.35, 0.5)
+    scale.left_mg += 7.0
+    assert scale.opening(0.0, 0.0) < 1.2 * BEADS.coefficient
+
+
 def test_a_stronger_flow_is_believed_at_once_and_a_weaker_one_little_by_little() -> None:
     known = Knowledge(request())
     assert Scale(known, 2.0 * BEADS.coefficient).opening(1.0, 2.0) > 1.7 * BEADS.coefficient

@@ -324,13 +324,11 @@ def _curves(facts: RunFacts) -> Iterator[tuple[str, str, str, Markup]]:
         dose = curve.dose
         again = f", attempt {curve.attempt}" if curve.attempt > 1 else ""
         caption = f"{curve.sample}{again}: {format_mass(dose.dispensed_mg)} of {format_mass(dose.target_mg)}"
-        last = said.get(_dosed(curve))
+        tone, verdict = "good" if dose.verdict == "in tolerance" else "bad", dose.verdict
         if curve is not ends[_dosed(curve)]:
             tone, verdict = "soft", "so far"
-        elif last is not None:
+        elif (last := said.get(_dosed(curve))) is not None:
             tone, verdict = last.tone, last.cells["verdict"]
-        else:
-            tone, verdict = "good" if dose.verdict == "in tolerance" else "bad", dose.verdict
         yield caption, tone, verdict, Markup(figures.draw(curve))
 
 
