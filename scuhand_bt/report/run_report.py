@@ -324,7 +324,7 @@ def _curves(facts: RunFacts) -> Iterator[tuple[str, str, str, Markup]]:
         dose = curve.dose
         again = f", attempt {curve.attempt}" if curve.attempt > 1 else ""
         caption = f"{curve.sample}{again}: {format_mass(dose.dispensed_mg)} of {format_mass(dose.target_mg)}"
-        tone, verdict = "good" if dose.verdict == "in tolerance" else "bad", dose.verdict
+        tone, verdict = "good" if dose.verdict == "in tolerance" else "bad", str(dose.verdict)
         if curve is not ends[_dosed(curve)]:
             tone, verdict = "soft", "so far"
         elif (last := said.get(_dosed(curve))) is not None:
