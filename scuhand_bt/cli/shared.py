@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
@@ -254,10 +255,13 @@ def require_can_write(path: Path, *modules: str, extra: str) -> None:
 
 
 def write_picture(path: Path, write: Callable[[], object]) -> None:
-    """Draw into a file. Raises BadParameter where that cannot be, or where the extra that draws is missing."""
+    """Draw into a file, and say what it lacks. BadParameter where it cannot be, or the extra that draws is missing."""
     try:
-        write()
+        with warnings.catch_warnings(record=True) as lacks:
+            write()
     except OSError as error:
         raise typer.BadParameter(f"'{path}' cannot be written: {error.strerror}") from None
     except ModuleNotFoundError as error:
         raise typer.BadParameter(f"'{path}' needs {error.name}: pip install 'scuhand-bt[plot]'") from None
+    for one in lacks:
+        err.print(Text(f"Note: {path}: {one.message}"), soft_wrap=True)

@@ -22,6 +22,7 @@ from scuhand_bt.cli.shared import (
     print_json,
     require_can_write,
     the_plan,
+    write_picture,
 )
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass, listed
@@ -125,7 +126,7 @@ def study(
     odds = odds_of(made, [one for _, one in ordered], as_written=as_written)
     dominant = _dominant(varied, draws, ordered) if varied is not None else {}
     if plot is not None:
-        plot_study(odds, [one for _, one in ordered], dominant, plot, made.recipe.name)
+        write_picture(plot, lambda: plot_study(odds, [one for _, one in ordered], dominant, plot, made.recipe.name))
     if as_json:
         print_json({**asdict(odds), "draws": len(apart), "indices": dominant})
         return

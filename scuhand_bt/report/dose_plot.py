@@ -16,6 +16,8 @@ def plot_dose(points: Sequence[Point], target_mg: float, tolerance_mg: float, pa
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    from scuhand_bt.report.lettering import write_figure
+
     times_s = [point[0] - points[0][0] for point in points]
     figure = Figure(figsize=(8.0, 6.0), layout="constrained")
     FigureCanvasAgg(figure)
@@ -52,4 +54,4 @@ def plot_dose(points: Sequence[Point], target_mg: float, tolerance_mg: float, pa
     valve.set_zorder(shaking.get_zorder() + 1)  # the line before the areas
     valve.patch.set_visible(False)
     figure.align_ylabels([mass, near, valve])
-    figure.savefig(path, dpi=130)
+    write_figure(figure, path, dpi=130)

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
 from scuhand_bt.report.cell_mesh import CellMeshes
+from scuhand_bt.report.lettering import write_figure
 from scuhand_bt.report.motion_panels import COLOURS, spread
 from scuhand_bt.report.show_move import (
     ARM_COLOUR,
@@ -40,7 +41,7 @@ def move_png(move: ShownMove, file: Path) -> None:
         axes.set(title=panel.name, xlabel="time [s]", ylim=(low, high), xlim=(0, move.motion.duration_s))
         if k == 0:
             axes.legend(ncols=4, fontsize=7, loc="upper right")
-    figure.savefig(file, dpi=110)
+    write_figure(figure, file, dpi=110)
 
 
 def _draw_arm(view: Any, move: ShownMove) -> None:

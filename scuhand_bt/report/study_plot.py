@@ -34,6 +34,8 @@ def plot_study(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    from scuhand_bt.report.lettering import write_figure
+
     ranked = {what: {at: one for at, one in found.items() if "means" not in one} for what, found in depends.items()}
     named = {
         what: {f"{at}: {name}": mean for at, one in found.items() for name, mean in one.get("means", {}).items()}
@@ -61,7 +63,7 @@ def plot_study(
             by_name = {name: scale * mean for name, mean in means.items()}
             _bars(axes, by_name, f"{WORDS[what]} by name, on average", unit, BLUE)
     figure.suptitle(f"{title}, dry runs (SIMULATED): {len(trials)}", parse_math=False)
-    figure.savefig(path, dpi=130)
+    write_figure(figure, path, dpi=130)
 
 
 def _draw_time(axes: "Axes", odds: Odds, trials: Sequence[Trial]) -> None:
