@@ -160,7 +160,8 @@ def read_lab(folder: Path) -> Lab:
     """As `load_lab`; without a sound cell, one of what of it is sound, to check the rest against."""
     problems, broken = Problems(), Broken()
     cell, library, has_cell = _read_bench(folder, problems, broken)
-    loaded = load_skills(folder, files_of(folder / "skills", "*.py"), cell.device_names, problems, broken)
+    files = files_of(folder / "skills", "*.py")
+    loaded = load_skills(folder, files, cell.device_names, problems, broken, starter_lab())
     library.skills, library.facts = loaded.skills, loaded.facts
     library.workflows = _load_workflows(folder / "trees", problems, broken)
     _check_names(library, folder, problems)

@@ -1,5 +1,6 @@
 """A file of a lab that is wrong breaks what uses it and nothing else, and is told of wherever the lab is loaded."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,12 @@ def test_a_file_that_nothing_uses_is_told_of_and_stops_nothing(
     [
         ("trees/fill.yaml", "retry:\n", "retry:\n    x: 1\n", "5: unknown key 'x'"),
         ("skills/tare.py", "class Tare", "clas Tare", "6: the skill cannot be loaded: SyntaxError"),
+        (
+            "skills/dispense.py",
+            "verdict import judge",
+            "verdict import judged",
+            "1: the skill cannot be loaded: ImportError",
+        ),
         ("robot/powders.yaml", "repose: 25 deg", "repose: 25 kg", "11: 'repose': 'kg' is a unit"),
         ("robot/containers.yaml", "mouth: 20 mm", "mouth: 20 s", "12: 'mouth': 's' is a unit"),
         ("robot/containers.yaml", "bore: 90 mm", "bore: 90 s", "11: 'bore': 's' is a unit"),
@@ -65,6 +72,21 @@ def test_what_uses_it_is_refused_with_what_is_wrong_in_it_and_nothing_beside_the
     assert ended.returncode == 2
     (problem,) = (told for told in ended.stderr.splitlines() if "nothing was moved" not in told)
     assert problem.startswith(f"{lab_folder.folder}/{file}:{line}:{said}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("verdict import judge", "verdict import judged"), ("free_flow(powder.", "free_flow(1, powder.")]
+)
+def test_a_skill_of_another_version_is_told_where_there_is_one_of_this(
+    lab_folder: LabFolder, old: str, new: str
+) -> None:
+    lab_folder.replace("skills/dispense.py", old, new)
+    shutil.copy(lab_folder.folder / "skills/dispense.py", lab_folder.folder / "skills/dose_it.py")
+    theirs, own = lab_folder.load().problems
+    assert theirs.message.endswith(
+        "if it came with another version, take dispense.py from a new lab (`scuhand-bt init DIR`)"
+    )
+    assert "another version" not in own.message
 
 
 def test_another_powder_of_a_file_with_a_wrong_one_can_be_used(

@@ -13,7 +13,7 @@ import traceback
 import types
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,8 @@ from scuhand_bt.skill_files.source_check import check_shared, check_source
 PACKAGE = "scuhand_lab"
 _Text = tuple[str, bytes | None, frozenset[tuple[str, bytes | None]], frozenset[str]]
 """A skill's name, its file and those that skills share as hashes, and the devices of the cell."""
+OF_ANOTHER_VERSION = ("skill-import", "skill-arguments")
+"""What is found in a skill that goes by the engine of another version."""
 SOUND_KEPT = 256
 _SOUND: dict[_Text, SkillFacts] = {}
 """Skills in which nothing was found: looking takes longer than all else of loading a lab, and programs load labs again
@@ -42,11 +44,11 @@ class LoadedSkills:
 
 
 def load_skills(
-    folder: Path, paths: list[Path], devices: Collection[str], problems: Problems, broken: Broken
+    folder: Path, paths: list[Path], devices: Collection[str], problems: Problems, broken: Broken, starter: Path
 ) -> LoadedSkills:
     """Import the skills of a lab's folder from these files; what is wrong with one is noted, and the skill `broken`.
 
-    `devices` are those of the lab's cell, by the names that skills lease them under.
+    `devices` are those of the lab's cell, by the names that skills lease them under; `starter` is the starter lab.
     """
     files = _files_read(folder)
     _mount(folder, files)
@@ -62,12 +64,22 @@ def load_skills(
                 _keep_sound(text, facts)
         if facts is not None:
             loaded.facts[path.stem] = facts
+        of_file.found = [_with_remedy(one, starter) for one in of_file.found]
         problems.found += of_file.found
         if of_file.errors or skill is None:
             broken.add("skill", path.stem, of_file.errors)
         else:
             loaded.skills[path.stem] = skill
     return loaded
+
+
+def _with_remedy(problem: Problem, starter: Path) -> Problem:
+    """What does not go with this engine, in a file that the starter lab has too, and not as it is."""
+    here, theirs = Path(problem.mark.file), starter / "skills" / Path(problem.mark.file).name
+    if problem.code not in OF_ANOTHER_VERSION or not theirs.is_file() or here.read_bytes() == theirs.read_bytes():
+        return problem
+    remedy = f"if it came with another version, take {theirs.name} from a new lab (`scuhand-bt init DIR`)"
+    return replace(problem, message=f"{problem.message}; {remedy}")
 
 
 class _Shared:

@@ -34,7 +34,7 @@ class _Checker:
         self._library = library
         self._problems = problems
         self._codes = library.failures()
-        self._results: dict[str, WireType] = {}
+        self._results: dict[str, WireType | None] = {}
         self._sizes: dict[str, int] = {}
         self._calling: list[str] = []
         self._is_whole = True
@@ -45,8 +45,8 @@ class _Checker:
         self._types: dict[str, WireType | None] = {}
         """By name; None where what gives the value is wrong, and reported, itself."""
 
-    def result_of(self, name: str, caller: Mark | None = None) -> WireType:
-        """Check a workflow once, and say what it returns."""
+    def result_of(self, name: str, caller: Mark | None = None) -> WireType | None:
+        """Check a workflow once, and say what it returns; None where something is wrong with what that comes from."""
         if name in self._results:
             return self._results[name]
         workflow = self._library.workflows[name]
@@ -69,9 +69,7 @@ class _Checker:
                     what = "a tolerance in % is one of the mass, but this workflow has no input 'mass'"
                     self._problems.add(declared.default.mark, what, code="percent-of-nothing")
         defined = self._check(workflow.tree, frozenset(workflow.inputs))
-        result = NOTHING
-        if workflow.result is not None:
-            result = self._type_of_value(workflow.result, defined) or NOTHING
+        result = self._type_of_value(workflow.result, defined) if workflow.result is not None else NOTHING
         self._types, self._is_whole, self._inputs = outer_types, outer_is_whole, outer_inputs
         self._items = outer_items
         self._calling.pop()
