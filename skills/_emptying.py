@@ -55,6 +55,23 @@ def is_over(cell: Cell, source: Source) -> bool:
     return math.dist(cell.apex_mm()[:2], above_mm[:2]) <= source.mortar.bore_mm
 
 
+def out_of_mortar(cell: Cell) -> Steps[None]:
+    """Where a workflow goes on after a scoop that was halted in its mortar, as by a `timeout`: out of that first."""
+    for source in cell.sources.values():
+        if source.sheet_key == cell.believed.sheet and is_over(cell, source) and _dips_into(cell, source):
+            yield from leave_mortar(cell, source)
+            return
+
+
+def _dips_into(cell: Cell, source: Source) -> bool:
+    """Whether the cone's apex or its lip is lower than this mortar's edge."""
+    apex, rim_mm = cell.apex(), cell.hand.cone_diameter_mm / 2.0
+    along_mm = math.sqrt(cell.spec.hand.sheet_radius_mm**2 - rim_mm**2)
+    lip_mm = along_mm * apex.axis[2] - rim_mm * math.sqrt(max(0.0, 1.0 - apex.axis[2] ** 2))
+    edge_mm = cell.spec.stations[source.station].position_mm[2] + source.mortar.height_mm
+    return cell.apex_mm()[2] + min(0.0, lip_mm) < edge_mm
+
+
 def aside_mm(cell: Cell, source: Source) -> float:
     """How far the middle of the cone's mouth, which a stroke has over its mortar, is from that of this source's."""
     apex, rim_mm, slant_mm = cell.apex(), cell.hand.cone_diameter_mm, cell.spec.hand.sheet_radius_mm

@@ -2,7 +2,7 @@
 
 from scuhand_bt.skill import Cell, Skill, Steps
 
-from ._emptying import empty_at
+from ._emptying import empty_at, out_of_mortar
 
 
 class Discard(Skill[None]):
@@ -14,5 +14,6 @@ class Discard(Skill[None]):
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:
+        yield from out_of_mortar(cell)
         if cell.believed.cone_source is not None:
             yield from empty_at(cell, cell.spec.station_of_kind("waste").name)

@@ -5,7 +5,7 @@ from typing import Any
 
 from scuhand_bt.skill import Cell, CellSpec, Code, Forecast, Keeping, Kept, Skill, SkillFailed, Source, Steps
 
-from ._emptying import pour_rest, put_away
+from ._emptying import out_of_mortar, pour_rest, put_away
 
 
 class ReturnLeftover(Skill[None]):
@@ -29,6 +29,7 @@ class ReturnLeftover(Skill[None]):
 
     def run(self, cell: Cell) -> Steps[None]:
         believed = cell.believed
+        yield from out_of_mortar(cell)
         if believed.cone_source is None:
             if believed.has_rest and self.keep == "never" and believed.sheet == self.source.sheet_key:
                 yield from pour_rest(cell, self.source)

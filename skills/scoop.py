@@ -33,7 +33,7 @@ from scuhand_bt.skill import (
     Steps,
 )
 
-from ._emptying import is_over, leave_mortar, pour_rest, put_away
+from ._emptying import is_over, leave_mortar, out_of_mortar, pour_rest, put_away
 
 if TYPE_CHECKING:
     from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -75,6 +75,7 @@ class Scoop(Skill[Milligrams]):
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
         source, believed = self.source, cell.believed
+        yield from out_of_mortar(cell)
         if believed.is_load_doubted and believed.cone_source is not None:
             yield from put_away(cell)
         self._require_clean(cell)

@@ -513,13 +513,34 @@ def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion:
     scooping.close()
     cell.hand.stop()
     bench.do(bench.later(2.0, lambda: None))
-    with pytest.raises(SkillFailed, match=r"arm.start_in_collision"):
+    with pytest.raises(SkillFailed, match=r"arm.start_in_collision: .* mortar_bay is left by `withdraw`"):
         bench.do(park().run(cell))
     bench.do(withdraw().run(cell))
     bench.do(park().run(cell))
     assert (cell.believed.cone_mg, cell.believed.sources_mg["beads"]) == (0.0, pytest.approx(20_000.0))
     left_mg = bench.world.masses_mg["source:beads"] + bench.world.masses_mg["sheet"]
     assert left_mg == pytest.approx(20_000.0, abs=10.0)
+
+
+@pytest.mark.parametrize("skill", ["scoop", "return_leftover", "discard"])
+def test_what_empties_or_fills_a_cone_brings_it_out_of_the_mortar_that_its_scoop_was_halted_in(
+    starter: Lab, motion: MotionPlanner, skill: str
+) -> None:
+    """As by a `timeout`: the run ended, and a person was to lead the arm clear by hand."""
+    bench, source = scooping_bench(starter, motion)
+    cell = bench.cell
+    scooping = starter.library.skills["scoop"](source=source).run(cell)
+    while bench.clock.now_s < 3.5:
+        next(scooping)
+        bench.clock.wait([Wake(bench.clock.now_s + 0.1)])
+    scooping.close()
+    cell.hand.stop()
+    bench.do(bench.later(2.0, lambda: None))
+    then = starter.library.skills[skill]
+    bench.do(then(**({"source": source} if "source" in then.model_fields else {})).run(cell))
+    bench.do(starter.library.skills["park"]().run(cell))
+    assert (bench.world.masses_mg["cone"] > 1000.0) is (skill == "scoop")
+    assert bench.world.masses_mg["spilled"] == 0.0
 
 
 def test_of_mortars_side_by_side_the_cone_is_withdrawn_from_the_one_that_it_was_halted_in(starter: Lab) -> None:

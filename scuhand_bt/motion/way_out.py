@@ -75,7 +75,10 @@ def way_out(
 
 def _out(scene: Scene, begin: Floats, rates: RateLimits, held: AbstractSet[str]) -> JointTrajectory:
     if held:
-        raise _NoWayOutError(f"{', '.join(sorted(held))} is not left so")
+        mortars = ", ".join(sorted(held))
+        raise _NoWayOutError(
+            f"{mortars} is left by `withdraw`, which a workflow calls first that goes on after a scoop"
+        )
     if not scene.hits(begin[None, :])[0]:
         raise _NoWayOutError("that is no collision")
     distances_m = scene.distances_m(begin)
