@@ -6,10 +6,14 @@ from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, 
 
 STILL_DIGITS = 2.0
 """A container that comes to rest changes its weight by no more than this from one weighing to the next."""
+AT_ONCE_READINGS = 2.0
+"""No more have come since a weighing after which nothing was done."""
 
 
 class Tare(Skill[Milligrams]):
     """Weigh the container on the pan before its first powder; no tare command is sent to the balance.
+
+    Where it comes at once after `place_container`, the container's own weighing is that; the dose weighs it once more.
 
     What is in it already, also of a dose that broke off, is of its doses still.
     """
@@ -27,8 +31,11 @@ class Tare(Skill[Milligrams]):
         require_unchanged(cell)
         bracket = cell.believed.bracket
         assert bracket is not None
-        allowed_mg = STILL_DIGITS * cell.spec.balance.readability_mg
-        _, mean = yield from weigh_until_still(cell, bracket.last, allowed_mg)
+        mean, since_s = cell.weighed, cell.clock.now_s - bracket.last.time_s
+        is_at_once = since_s < AT_ONCE_READINGS * cell.spec.balance.period_s
+        if not is_at_once or mean is None or weighing_of(mean) != bracket.last:
+            allowed_mg = STILL_DIGITS * cell.spec.balance.readability_mg
+            _, mean = yield from weigh_until_still(cell, bracket.last, allowed_mg)
         cell.believed.tared(weighing_of(mean))
         cell.record.event(Tared(**dict(mean.written()), balance=cell.balance.identity))
         return mean.value_mg

@@ -48,6 +48,16 @@ def again_lab(
     return lab, recipe
 
 
+def test_a_tare_is_the_containers_own_weighing_only_where_nothing_was_done_since(tmp_path: Path) -> None:
+    ran = again(tmp_path, FIRST, WHOLE, SPARE.replace("\n    - tare:", f"{WAIT}\n    - tare:"), OF_SPARE)
+    rows = list(read(ran.journal, "event"))
+    first = next(row["payload"]["loaded"] for row in rows if row["kind"] == "container_again")
+    *_, second = (row["payload"]["loaded"] for row in rows if row["kind"] == "container")
+    at_once, later = (row["payload"]["readings"] for row in rows if row["kind"] == "tare")
+    assert at_once == first["readings"]
+    assert later[0]["time_s"] > second["readings"][-1]["time_s"] + 60.0
+
+
 def two_samples(recipe: Path) -> None:
     """Another one like the recipe's."""
     text = recipe.read_text()

@@ -129,7 +129,7 @@ def test_what_the_outage_adds_to_the_uncertainty_is_in_the_dose(tmp_path: Path) 
     assert cut.sample()["uncertainty_mg"] > found["uncertainty_mg"] > whole.sample()["uncertainty_mg"]
 
 
-@pytest.mark.parametrize("within", first_daily("park", "place_container", "tare"))
+@pytest.mark.parametrize("within", first_daily("park", "place_container"))
 def test_a_zero_that_moved_while_a_filled_container_stood_there_leaves_its_dose_confirmed(
     tmp_path: Path, within: str
 ) -> None:
@@ -172,12 +172,9 @@ def test_a_container_that_a_hand_took_or_exchanged_counts_no_more_and_its_sample
     assert run.sample()["true_mg"] == pytest.approx(80.0, abs=2.0)
 
 
-@pytest.mark.parametrize(("within", "at_tick"), first_daily(("tare", 4), ("move_over", 2)))
-def test_a_container_exchanged_before_its_first_powder_counts_no_more(
-    tmp_path: Path, within: str, at_tick: int
-) -> None:
+def test_a_container_exchanged_before_its_first_powder_counts_no_more(tmp_path: Path) -> None:
     run = CutRun(tmp_path, "outage.container_exchanged", ONE + REDO)
-    run.cut(within, at_tick)
+    run.cut("move_over", 2)
     assert run.resume() == 0
     (found,) = run.told("container_reweighed")
     assert not found["counts"]

@@ -20,7 +20,18 @@ from scuhand_bt.cell.right_of_way import LOOK_S, ZONE_TIMEOUT_S, RightOfWay, tak
 from scuhand_bt.cell.scooping import planned_out, planned_stroke
 from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
-from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Joints, Operator, Reading, Trajectory
+from scuhand_bt.devices.interfaces import (
+    Arm,
+    Balance,
+    Changer,
+    Device,
+    Hand,
+    Joints,
+    Operator,
+    Reading,
+    StableMean,
+    Trajectory,
+)
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
@@ -91,6 +102,8 @@ class Cell:
     """How late it was last seen to show a load, by this run or an earlier one."""
     came: Step | None = None
     """How the balance has shown the container that came last, in this process."""
+    weighed: StableMean | None = None
+    """The pan's last weighing while arm and hand stood still, in this process."""
     readings: deque[Reading] = field(default_factory=lambda: deque(maxlen=RECENT))
     """The balance's last ones, filled from where they arrive."""
     right_of_way: RightOfWay = field(init=False)

@@ -179,6 +179,7 @@ class RightOfWay:
                             wake = next(weighing)
                         except StopIteration as over:
                             mean: StableMean = over.value
+                            self._cell.weighed = mean
                             return mean
                         yield wake
                 finally:
