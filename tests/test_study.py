@@ -982,6 +982,10 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
         (("--vary", "order.yaml", "--optimise", 2, "--plot", "x.png"), "--plot: a search proposes figures"),
         (("--plot", "x.jpg"), "--plot: 'x.jpg' is to be a file of this kind: .png, .svg"),
         (("--trials", 10_000_000), "--trials: these are 10000000 dry runs, and 1000000 the most"),
+        (
+            ("--vary", "order.yaml", "--optimise", 2, "--trials", 10**9),
+            "--trials: these are 5000000000 dry runs, and 1000",
+        ),
         (("--first-seed", 10**19), "--first-seed"),
     ],
 )
@@ -994,6 +998,12 @@ def test_options_that_do_not_go_together_are_refused(
     refused = command("study", setup.recipe, *(vary if one == "order.yaml" else one for one in options))
     assert refused.returncode == 2
     assert said in refused.stderr
+
+
+def test_a_plan_has_no_more_dry_runs_than_a_study(setup: Setup, command: Call) -> None:
+    refused = command("plan", setup.recipe, "--trials", 10**9)
+    assert refused.returncode == 2
+    assert "is not in the range 0<=x<=1000000" in " ".join(refused.stderr.replace("│", " ").split())
 
 
 @pytest.mark.slow
@@ -1076,6 +1086,23 @@ def test_less_time_is_better_by_what_it_brings() -> None:
     assert Proposal(changes, Found(0.0, 1.0), Found(0.1, 600.0)).is_better
     assert Proposal(changes, Found(1 / 24, 30.0), Found(1.0, 720.0)).is_better
     assert not Proposal(changes, Found(1.0, 720.0), Found(1 / 24, 30.0)).is_better
+
+
+def test_a_search_goes_on_after_a_candidate_that_no_recipe_may_have(setup: Setup, tmp_path: Path) -> None:
+    """Each of its figures may be, and not both: the same command came to it each time, and never to an end."""
+    pytest.importorskip("optuna")
+    both = {"recipe.samples.0.mass": ["50 mg", "100 mg"], "recipe.sources.beads.amount": ["5 g", "150 mg"]}
+    vary, tried = Vary.model_validate({"vary": both}), list[object]()
+
+    def quick(of: Setup, seed: int) -> Trial:
+        tried.append(of.changes)
+        return Trial(seed, 0, 100.0, {}, (), {}, {}, {})
+
+    with open_store(tmp_path / "s.sqlite", setup) as store:
+        found = optimised(setup, vary, 12, range(1), range(1, 2), Inline(quick), store)
+    assert 0 < found.refused < 12
+    assert tuple((place, values[1]) for place, values in both.items()) not in tried
+    assert found.changes in tried
 
 
 @pytest.mark.slow

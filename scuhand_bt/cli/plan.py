@@ -24,7 +24,7 @@ from scuhand_bt.cli.shared import (
     require_can_write,
     the_plan,
 )
-from scuhand_bt.cli.study import WorkersOption, as_they_end, tell_odds
+from scuhand_bt.cli.study import MOST_TRIALS, WorkersOption, as_they_end, tell_odds
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
@@ -38,7 +38,9 @@ NO_NIGHT = "; what a night holds is not told by these"
 @app.command()
 def plan(
     recipe: RecipeArgument,
-    trials: Annotated[int, typer.Option(min=0, help="Dry runs to tell the odds by; with 0 there are none.")] = 4,
+    trials: Annotated[
+        int, typer.Option(min=0, max=MOST_TRIALS, help="Dry runs to tell the odds by; with 0 there are none.")
+    ] = 4,
     workers: WorkersOption = None,
     night: Annotated[
         str | None, typer.Option(metavar="20:00-08:00", help="Say what is done in hours in which nobody comes.")

@@ -102,6 +102,7 @@ def study(
     if optimise is not None:
         if varied is None:
             raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
+        _require_few((optimise + 3) * trials)  # and those as written, and the best, on other seeds
         check_setups([replace(setup, changes=changes) for changes in varied.ends()])
         with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask, _tell) as executor:
             seeds = range(first_seed, first_seed + trials)
@@ -109,8 +110,7 @@ def study(
         return
     draws = [setup] if varied is None else [replace(setup, changes=changes) for changes in varied.changes()]
     apart = list(dict.fromkeys(draws))  # of few names many draws are alike: the same dry runs tell nothing more
-    if (many := len(apart) * trials) > MOST_TRIALS:
-        raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
+    _require_few(len(apart) * trials)
     if varied is not None:
         check_setups(ends_of(apart))
     tasks = [(draw, seed) for draw in apart for seed in range(first_seed, first_seed + trials)]
@@ -134,6 +134,11 @@ def study(
     if dominant:
         tell_dominant(dominant, varied.design if varied is not None else "")
     out.print(Text(f"Trials are kept in {kept_in}"), soft_wrap=True)
+
+
+def _require_few(many: int) -> None:
+    if many > MOST_TRIALS:
+        raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
 
 
 def as_they_end(going: "Iterator[tuple[Task, Trial]]", many: int) -> "Iterator[tuple[Task, Trial]]":
@@ -180,6 +185,8 @@ def _propose(
     for name, came in (("as written", found.as_written), ("proposed", found.proposed)):
         table.add_row(name, f"{came.good:.1%}", format_duration(came.duration_s))
     out.print(table)
+    if found.refused:
+        out.print(f"Of {candidates} candidates {found.refused} are what no recipe or lab may have.")
     if found.proposed.good == 0.0:
         out.print(
             f"The best of {candidates} candidates brings no sample into tolerance; without --optimise is told why."

@@ -19,7 +19,7 @@ from scuhand_bt.study.change import Changes, file_of, with_value
 from scuhand_bt.study.pool import all_trials
 from scuhand_bt.study.store import Store
 from scuhand_bt.study.trial import Setup, Trial
-from scuhand_bt.study.vary import Between, Vary
+from scuhand_bt.study.vary import Between, Vary, check_setups
 
 TIME_WORTH = 0.1
 """Half the time is worth one sample of twenty."""
@@ -48,6 +48,8 @@ class Proposal:
     changes: Changes
     as_written: Found
     proposed: Found
+    refused: int = 0
+    """Candidates that no recipe or lab may have, each figure of which by itself one may."""
 
     @property
     def is_better(self) -> bool:
@@ -63,7 +65,10 @@ def optimised(
     executor: Executor,
     store: Store,
 ) -> Proposal:
-    """The best of so many candidates on `seeds`, judged on `held_out`. SourceError where Optuna is missing."""
+    """The best of so many candidates on `seeds`, judged on `held_out`.
+
+    SourceError where Optuna is missing, or no recipe or lab may have any of them.
+    """
     try:
         import optuna
     except ImportError:
@@ -77,6 +82,7 @@ def optimised(
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     search = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=0))
     as_written = of((), seeds)
+    refused: list[SourceError] = []
     for _ in range(candidates):
         asked = search.ask()
         changes = tuple(
@@ -86,9 +92,17 @@ def optimised(
             for place, given in vary.vary.items()
         )
         asked.set_user_attr("changes", changes)
-        search.tell(asked, of(changes, seeds).cost(as_written))
+        try:
+            check_setups([replace(setup, changes=changes)])
+        except SourceError as error:  # the same search comes to it each time: it would never end
+            refused.append(error)
+            search.tell(asked, state=optuna.trial.TrialState.FAIL)
+        else:
+            search.tell(asked, of(changes, seeds).cost(as_written))
+    if len(refused) == candidates:
+        raise refused[0]
     best = tuple((place, value) for place, value in search.best_trial.user_attrs["changes"])
-    return Proposal(best, of((), held_out), of(best, held_out))
+    return Proposal(best, of((), held_out), of(best, held_out), len(refused))
 
 
 def diff(setup: Setup, changes: Changes) -> Iterator[str]:
