@@ -421,6 +421,25 @@ def test_jobs_of_an_earlier_version_are_taken_in_their_order_and_the_one_that_ru
     run(check())
 
 
+def test_a_database_that_cannot_keep_any_letter_is_told_and_a_users_own_letters_do_not_count(
+    postgres: Server, database: str, offer: Offer, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Debian makes it where no language is set; each command ended with a traceback."""
+    ascii_only = "CREATE DATABASE letters ENCODING 'SQL_ASCII' LOCALE 'C' TEMPLATE template0"
+    subprocess.run(["psql", "-X", "-q", postgres.address(), "-c", ascii_only], check=True, capture_output=True)
+    code, _, err = command("queue", "--database", postgres.address("letters"))
+    assert code == 2
+    assert "it keeps texts as SQL_ASCII" in err
+    assert "createdb's --encoding=UTF8" in err
+    monkeypatch.setenv("PGCLIENTENCODING", "LATIN1")
+
+    async def check() -> None:
+        async with enrolled(database, offer, "局") as queue:
+            assert [one.name for one in await queue.stations()] == ["局"]
+
+    run(check())
+
+
 def test_a_network_that_is_silent_is_no_database_within_seconds(database: str) -> None:
     """A station stood still until the network was back, or for a quarter of an hour, and no SIGTERM ended it."""
 

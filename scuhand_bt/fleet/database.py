@@ -19,13 +19,15 @@ CONNECT_S = 5
 ANSWER_S = 10
 """A database that has not heard of what it was sent for so long is not reached."""
 _LINE: dict[str, Any] = {
+    "client_encoding": "UTF8",
     "connect_timeout": CONNECT_S,
     "tcp_user_timeout": ANSWER_S * 1000,
     "keepalives_idle": ANSWER_S,
     "keepalives_interval": ANSWER_S,
     "keepalives_count": 1,
 }
-"""Else a network that is silent is waited for a quarter of an hour, and nothing else is done meanwhile."""
+"""Else a network that is silent is waited for a quarter of an hour, and nothing else is done meanwhile; and names are
+sent as the user's environment has it, which may have no word for them."""
 _STATIONS = """
 CREATE TABLE scuhand_stations (
     name text PRIMARY KEY, identity text NOT NULL, offer jsonb NOT NULL, state text NOT NULL,
@@ -55,6 +57,9 @@ async def opened(database: str) -> AsyncIterator[App]:
     logging.getLogger("psycopg.pool").setLevel(logging.CRITICAL)  # what it says, the station says in words
     try:
         async with await psycopg.AsyncConnection.connect(database, **_LINE) as connection:
+            if (kept_as := connection.info.parameter_status("server_encoding")) != "UTF8":
+                what = f"it keeps texts as {kept_as}, and names may have any letters: make it anew with createdb's"
+                raise SourceError([Problem(where, f"{what} --encoding=UTF8, as docs/fleet.md does")])
             await _make_tables(connection)
     except psycopg.Error as error:
         what = " ".join(str(error).split()) or type(error).__name__
