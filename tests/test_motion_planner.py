@@ -341,6 +341,7 @@ def test_straight_down_to_a_place_every_height_over_the_pan_lets_the_arm(planner
         place = ApexPose(np.array([x_mm, y_mm, height_mm]) / 1e3)
         planner.add_place("over the pan", place)
         down = planner.descent("over the pan", 0.06, 0.06, spill_limit_deg=20.0)
+        assert planner.descent("over the pan", 0.06, 0.06, spill_limit_deg=20.0) is down
         mount = Mount.of(LAB.cell.hand)
         ways = [apex(down.sample(share * down.duration_s), mount) for share in np.linspace(0.0, 1.0, 30)]
         assert np.linalg.norm(ways[-1].position_m - place.position_m) < 1e-4

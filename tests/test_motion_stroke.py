@@ -176,6 +176,9 @@ def test_a_stroke_that_is_asked_for_again_has_the_answer_that_it_had(
     planner: MotionPlanner, motion: StoppableTrajectory, path: StrokePath
 ) -> None:
     assert planned_stroke(planner, planner.home(), path, LAB.cell, STATION.name, MORTAR) is motion
+    forming = planner.forming(planner.home(), motion.start[:7], (90.0, 82.0), _roller_rad)
+    assert planner.forming(planner.home(), motion.start[:7], (90.0, 82.0), _roller_rad) is forming
+    assert planner.forming(planner.home(), motion.start[:7], (88.0, 82.0), _roller_rad) is not forming
     far = replace(path, apex_mm=path.apex_mm + 900.0 * UP)
     whys = []
     for _ in range(2):

@@ -49,7 +49,7 @@ from scuhand_bt.specs import ContainerKind, Mortar
 
 SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
-STROKES_KEPT = 64
+STROKES_KEPT, OTHERS_KEPT = 64, 192
 
 
 class MotionPlanner:
@@ -78,8 +78,7 @@ class MotionPlanner:
         self._mount_in = partial(_mounted, cell.hand, arm.decomposed)
         self._answers = Answers(self._scenes, self._places, self._pace, self._mount_in, self._store)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
-        self._reforms: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
-        self._contacts: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
+        self._others: Recent[Hashable, StoppableTrajectory] = Recent(OTHERS_KEPT)
         self.patience_s = FOR_EVER_S
         """How long `move` searches, on the wall, for what is quicker than an answer it has; see `patience`."""
 
@@ -242,7 +241,8 @@ class MotionPlanner:
             return self._borne(motion)
 
         way = tuple(pose.digest for pose in waypoints)
-        return self._contacts.of((begin.tobytes(), way, speed_m_per_s, touching, spill_limit_deg, self._geometry), made)
+        asked = ("contact", begin.tobytes(), way, speed_m_per_s, touching, spill_limit_deg, self._geometry)
+        return self._others.of(asked, made)
 
     def descent(
         self, place: str, from_above_m: float, speed_m_per_s: float, spill_limit_deg: float | None = None
@@ -252,15 +252,20 @@ class MotionPlanner:
         A load is kept within `spill_limit_deg`. SkillFailed arm.no_path, arm.unreachable.
         """
         posture = self._posture(place)
-        below = apex(posture, self._mount)
-        above = ApexPose(below.position_m + from_above_m * below.axis, below.axis)
-        scene = self.scene(CLOSE_MARGIN_M)
-        try:
-            up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
-        except SkillFailed as failure:
-            way = f"the last {1e3 * from_above_m:g} mm straight down to '{place}'"
-            raise SkillFailed(failure.code, f"{way}: {failure.detail}") from None
-        return self._borne(up.reversed())
+
+        def made() -> StoppableTrajectory:
+            below = apex(posture, self._mount)
+            above = ApexPose(below.position_m + from_above_m * below.axis, below.axis)
+            scene = self.scene(CLOSE_MARGIN_M)
+            try:
+                up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
+            except SkillFailed as failure:
+                way = f"the last {1e3 * from_above_m:g} mm straight down to '{place}'"
+                raise SkillFailed(failure.code, f"{way}: {failure.detail}") from None
+            return self._borne(up.reversed())
+
+        asked = ("descent", posture.tobytes(), from_above_m, speed_m_per_s, spill_limit_deg, self._geometry)
+        return self._others.of(asked, made)
 
     def way_out(
         self,
@@ -290,20 +295,17 @@ class MotionPlanner:
         stands with, and either half of its way, are proven with the rims of that while. SkillFailed as `move`, and
         arm.no_path where the cone would touch something.
         """
-        rates, last = (
-            with_roller(self.rates, self._cell.hand),
-            replace(self._geometry, cone_diameter_m=rims_mm[1] / 1e3),
-        )
-        with self._as_if(last):
-            way = self.move(start, goal)
-        both = forming_motion(
-            way,
-            rims_mm,
-            rates,
-            roller_rad,
-            partial(self._scenes.of_stroke, last, station=None, margin_m=CLOSE_MARGIN_M),
-        )
-        return self._borne(both, rates)
+        begin, end = (checked_joints(q, self._limits_rad) for q in (start, goal))
+        rates = with_roller(self.rates, self._cell.hand)
+        last = replace(self._geometry, cone_diameter_m=rims_mm[1] / 1e3)
+
+        def made() -> StoppableTrajectory:
+            with self._as_if(last):
+                way = self.move(begin, end)
+            scene_of = partial(self._scenes.of_stroke, last, station=None, margin_m=CLOSE_MARGIN_M)
+            return self._borne(forming_motion(way, rims_mm, rates, roller_rad, scene_of), rates)
+
+        return self._others.of(("forming", begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
         """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
@@ -344,7 +346,7 @@ class MotionPlanner:
             motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad, self._arm)
             return self._borne(motion, rates)
 
-        return self._reforms.of((begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
+        return self._others.of(("reform", begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
 
     @property
     def _mount(self) -> Mount:
