@@ -853,6 +853,25 @@ def test_a_job_that_is_cancelled_while_it_is_run_stops_after_its_sample(database
     assert [one["complete"] for one in ended] == [False]
 
 
+def test_a_station_whose_identity_a_power_cut_has_left_empty_begins(database: str, tmp_path: Path) -> None:
+    lab, said = make_lab(tmp_path / "lab"), list[str]()
+    identity = lab / ".scuhand" / "queue" / "identity"
+    identity.parent.mkdir(parents=True)
+    identity.touch()
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            station = Station(queue, lab, None, Manner(simulated=True), said.append, look_s=0.1)
+            working = asyncio.ensure_future(station.work())
+            while "waits for a job" not in said and not working.done():
+                await asyncio.sleep(0.05)
+            station.leave()
+            await working
+
+    run(check())
+    assert identity.read_text()
+
+
 def test_a_lab_has_one_station_and_a_name_one_lab(database: str, tmp_path: Path, command: Call) -> None:
     labs = [make_lab(tmp_path / name) for name in ("one", "two")]
     said: list[str] = []

@@ -927,6 +927,16 @@ def test_three_trials_have_lumps_of_three_kinds() -> None:
     assert kinds == {(False, False), (True, False), (False, True)}, "equal, and growing with the gap"
 
 
+def test_scoops_bring_more_or_less_in_each_trial() -> None:
+    powder, rng, yields = shipped_powders()["glass_beads"], np.random.default_rng(1), list[float]()
+    for SomeCell.seed in range(40):
+        scoop = SomeCell().scoop(powder)
+        yields.append(float(np.mean([scoop.collect(3000.0, 9000.0, rng) for _ in range(400)])) / 3000.0)
+    assert yields[0] == pytest.approx(1.0, abs=0.02), "the first cell is in the middle"
+    low, high = np.quantile(yields, (0.05, 0.95))
+    assert (low, high) == (pytest.approx(0.78, abs=0.04), pytest.approx(1.28, abs=0.06))
+
+
 def lumps_mg(flow: OurPowderFlow, opening_mm: float) -> np.ndarray:
     """What comes at once of a full cone that is shaken."""
     rng = np.random.default_rng(1)

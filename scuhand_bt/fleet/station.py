@@ -9,6 +9,7 @@ interrupted is resumed, by a person or (`resumes`) once by itself; it is never b
 import asyncio
 import json
 import math
+import os
 import secrets
 import sqlite3
 import sys
@@ -378,8 +379,13 @@ def _in_words(result: SampleResult) -> str:
     return f"{result.verdict} but not good" if is_doubtful else result.verdict
 
 
-def _identity(file: Path) -> str:
-    """Of this lab's station, among those of the queue."""
-    if not file.exists():
-        file.write_text(json.dumps(secrets.token_hex(8)), encoding="utf-8")
-    return str(json.loads(file.read_text(encoding="utf-8")))
+def _identity(path: Path) -> str:
+    """Of this lab's station, among those of the queue; made anew where a power cut has left nothing of it."""
+    written = path.read_text(encoding="utf-8") if path.exists() else ""
+    if not written:
+        written = json.dumps(secrets.token_hex(8))
+        with path.open("w", encoding="utf-8") as file:  # on disk before the queue has it
+            file.write(written)
+            file.flush()
+            os.fsync(file.fileno())
+    return str(json.loads(written))

@@ -14,14 +14,14 @@ LAST_RESORT = "Last Resort"
 def write_figure(figure: Figure, path: Path, dpi: int) -> None:
     """Write it, as its suffix says, with fonts of this computer for what matplotlib's own lacks.
 
-    In an SVG texts stay texts, drawn by the fonts of whoever looks at it. UserWarning, in words, for letters that a PNG
-    has a box for as no font here has them.
+    Where no font here has some letters, an SVG's texts stay texts, drawn by the fonts of whoever looks at it; of a PNG,
+    which has boxes for them, UserWarning says so in words.
     """
     texts = figure.findobj(Text)
     lacking, fonts = _fonts_for({letter for text in texts for letter in text.get_text() if letter.isprintable()})
     for text in texts:
         text.set_fontfamily([*text.get_fontfamily(), *fonts])
-    with rc_context({"svg.fonttype": "none"}), warnings.catch_warnings():
+    with rc_context({"svg.fonttype": "none"} if lacking else {}), warnings.catch_warnings():
         for letter in lacking:  # a line for each, and each time that it is drawn
             warnings.filterwarnings("ignore", f"Glyph {ord(letter)} .* missing from font", UserWarning)
         figure.savefig(path, dpi=dpi)

@@ -28,8 +28,8 @@ RECKONED = (
 )
 """How the masses of `Odds.leftovers_mg` and `Odds.used_mg` were come by, for whoever reads them beside each other."""
 CELLS = (
-    "Each dry run has a cell of its own: its powders flow at half to twice what the lab's files say, and its balance "
-    "is a third to four times as slow."
+    "Each dry run has a cell of its own: its powders flow at half to twice what the lab's files say, its scoops bring "
+    "three quarters to five quarters of what they should, and its balance is a third to four times as slow."
 )
 """Why the intervals are as wide as they are, for whoever reads them."""
 COVERED = 0.9
