@@ -515,6 +515,22 @@ def test_on_a_balance_that_adapts_the_last_of_a_dose_comes_out_of_another_openin
     assert shown_mg == pytest.approx(target_mg, abs=2.0)
 
 
+@pytest.mark.parametrize(
+    ("share", "target_mg", "is_shut"), [(0.5, 3000.0, True), (1.0, 3000.0, False), (0.5, 180.0, False)]
+)
+def test_the_first_powder_of_a_dose_is_looked_at_where_it_is_weak_and_much_is_missing(
+    share: float, target_mg: float, is_shut: bool
+) -> None:
+    """A balance that was set slower shows a strong flow as a weak one, and by then it is too late."""
+    controller = Openings(request(target_mg=target_mg, balance=QUICK.model_copy(update={"lag_s": 0.3})))
+    known, command, shown_mg = controller._known, controller.decide(None), 0.0
+    while not controller.ended and known.time_s < 6.0:
+        time_s, is_stream = known.time_s + PERIOD_S, isinstance(command, Stream)
+        command = controller.decide(Observation(time_s, shown_mg, 0.05, not is_stream))
+        shown_mg += share * known.reference * known.rows[-1].phi_s if is_stream and known.rows else 0.0
+    assert ("weak" in [ended for ended, _ in controller.ended]) is is_shut
+
+
 def widths_shown(shown_mg: Callable[[float], float], **changes: object) -> list[float]:
     """What the valve is told in the first opening, by what the balance shows so long after it began."""
     controller = new_controller("adaptive", request(**changes))

@@ -186,12 +186,10 @@ class Adaptive:
         came_mg, load_mg = request.came_mg + self._dosed_mg, request.came_mg + request.cone_mg
         may_scoop = request.may_scoop_again and came_mg > FLOWED_SHARE * load_mg
         is_empty = self._given_up == "empty"
-        if not is_empty:
-            dry_s = EMPTY_S if may_scoop and room_mg > FAR_MG else DRY_S
-        else:
-            is_too_little = self._has_come and room_mg > max(request.cone_mg - self._dosed_mg, FAR_MG)
-            # Of lumps so short a bridge would pass for the end, with more than half of the load behind it.
-            dry_s = SCOOPED_ANEW_S if is_too_little and not self._is_lumpy else EMPTY_S
+        dry_s = EMPTY_S if is_empty or (may_scoop and room_mg > FAR_MG) else DRY_S
+        # Of lumps so short a bridge would pass for the end, with more than half of the load behind it.
+        if is_empty and self._has_come and not self._is_lumpy:
+            dry_s = SCOOPED_ANEW_S if room_mg > max(request.cone_mg - self._dosed_mg, FAR_MG) else dry_s
         if self._barren_s > dry_s:
             return self._given_up
         comes_only_shaken = self._vibration > request.powder.vibration or ebbs
@@ -206,11 +204,6 @@ class Adaptive:
     @property
     def _dosed_mg(self) -> float:
         return self._known.bank.mass_mg - self._start_mg
-
-    @property
-    def _is_fresh_sooner(self) -> bool:
-        """Whether a fresh load brings the rest sooner than what still trickles out of this one."""
-        return self._known.room_mg > FAR_MG or self._given_up == "empty"
 
     @property
     def _is_lumpy(self) -> bool:
@@ -232,7 +225,9 @@ class Adaptive:
             return "reached"
         most_mg = known.most_mg if known.knows_balance else min(known.most_mg, bank.mass_mg + PROBE_MG)
         opening = Opening(known, most_mg, self._lump_mg())
-        self._barren_mg = bank.mass_mg if self._is_fresh_sooner else min(self._barren_mg, bank.mass_mg)
+        # Where a fresh load brings the rest sooner than what still trickles, each opening must bring some.
+        is_far = known.room_mg > FAR_MG or self._given_up == "empty"
+        self._barren_mg = bank.mass_mg if is_far else min(self._barren_mg, bank.mass_mg)
         while True:
             hold_s = opening.hold_s(width_mm := opening.width_mm())
             score = yield from known.act(width_mm, self._vibration, hold_s)

@@ -145,25 +145,18 @@ class Bank:
         changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
         now = np.add(self._passed[-1:], (row.dt_s, row.phi_s, row.slope_s))
         self._passed = np.concatenate((self._passed, now))
-        score, unexplained, k, came_mg = filters.take_in(
-            self.held,
-            *self._over(row.dt_s),
-            self.pure * self.delays_s,
-            self._phi,
-            self._seen,
-            self._passed,
-            (row.dt_s, row.reading_mg, row.noise_mg, row.changed),
-            reference,
-            self._most_sd * reference,
-            self.temper * changing,
-            (K_WALK_PER_S, BRIDGES_PER_S, HELD_UP, UNEVEN, UNSTEADY_S, EXPONENT_ERROR),
-            FARTHEST,
-        )
+        still, adds = self._over(row.dt_s)
+        late = self.pure * self.delays_s, self._phi, self._seen, self._passed
+        now_told = row.dt_s, row.reading_mg, row.noise_mg, row.changed
+        sure = reference, self._most_sd * reference, self.temper * changing
+        assumed = K_WALK_PER_S, BRIDGES_PER_S, HELD_UP, UNEVEN, UNSTEADY_S, EXPONENT_ERROR
+        told = filters.take_in(self.held, still, adds, late, now_told, *sure, assumed, FARTHEST)
+        score, unexplained, k, came_mg = told
         if came_mg > FLOWING_MG:
             more = min(score * score, SURPRISING) - AS_EXPECTED
             if more > 0.0 or k > FREELY * reference:  # nor does a bridge say that there are none
-                told = 1.0 - unexplained  # noise alone says nothing about lumps
-                self.surge_mg *= math.exp(SURGE_GAIN * told * more)
+                by_powder = 1.0 - unexplained  # noise alone says nothing about lumps
+                self.surge_mg *= math.exp(SURGE_GAIN * by_powder * more)
                 self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
         self._tell()
         if not math.isfinite(score + self.mass_mg + self.unseen_mg + self.coefficient + self.coefficient_sd):
@@ -172,8 +165,7 @@ class Bank:
 
     def _tell(self) -> None:
         """What is known after a reading: where each model is once it has seen what it has not yet, and all together."""
-        told = filters.known(self.held)
-        self.mass_mg, self.delay_s, self.unseen_mg, self.coefficient, self.coefficient_sd = told
+        self.mass_mg, self.delay_s, self.unseen_mg, self.coefficient, self.coefficient_sd = filters.known(self.held)
         """What has left the nozzle; the balance's mean delay; what has left and is not read yet, with twice what that
         may be off by; k, in mg s^-1 mm^-n, and its standard deviation."""
 
@@ -189,13 +181,12 @@ class Bank:
         _, sd_mg = self.over_all(*self.coming(0.0, 0.0))
         return sd_mg
 
-    def coming(self, phi_s: float, slope_s: float) -> tuple[Array, Array]:
-        """Mean [mg] and variance [mg^2] of the mass that will have left, by model, (H,).
+    def coming(self, phi_s: float, slope_s: float) -> Array:
+        """(2, H) means [mg] and variances [mg^2] of the mass that will have left, by model.
 
         Until then the integrals of phi [mm^n s] and of its slope grow by this.
         """
-        means_mg, variances = filters.coming(self.held, phi_s, slope_s)
-        return means_mg, variances
+        return filters.coming(self.held, phi_s, slope_s)
 
     def chance(self, phi_s: float, slope_s: float, most_mg: float) -> float:
         """The probability that more than `most_mg` will have left then."""

@@ -66,12 +66,8 @@ def chance(filters: Filters, phi_s: float, slope_s: float, most_mg: float) -> fl
 @compiled("UniTuple(f8, 2)(f8[:], f8[:], f8[:])")
 def over_all(weights: Array, means: Array, variances: Array) -> tuple[float, float]:
     """Mean and standard deviation of what models have these (H,) of, with what they differ by."""
-    mean = variance = 0.0
-    for h in range(len(weights)):
-        mean += weights[h] * means[h]
-    for h in range(len(weights)):
-        variance += weights[h] * (variances[h] + (means[h] - mean) ** 2)
-    return mean, math.sqrt(max(variance, 0.0))
+    mean = (weights * means).sum()
+    return mean, math.sqrt(max((weights * (variances + (means - mean) ** 2)).sum(), 0.0))
 
 
 @compiled(f"UniTuple(f8, 5)({_FILTERS})")
@@ -130,7 +126,7 @@ def widest(
 
 @compiled("void(f8[::1], f8[:,::1], f8[:,::1])")
 def carry(x: Array, p: Array, f: Array) -> None:
-    """A state (5,) and its covariance (5, 5) over a transition f (3, 5), without k and g, which stay: f x, f p f'."""
+    """A state (5,) and its covariance (5, 5) over a transition f (5, 5), but k and g, which stay: f x, f p f'."""
     y, rate, mass, k, g = x
     for i in range(K):
         x[i] = f[i, 0] * y + f[i, 1] * rate + f[i, 2] * mass + f[i, 3] * k + f[i, 4] * g
@@ -145,17 +141,14 @@ def carry(x: Array, p: Array, f: Array) -> None:
 
 
 @compiled(
-    f"UniTuple(f8, 4)({_FILTERS}, f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,::1], "
+    f"UniTuple(f8, 4)({_FILTERS}, f8[:,:,::1], f8[:,::1], Tuple((f8[::1], f8[::1], i8[::1], f8[:,::1])), "
     "UniTuple(f8, 4), f8, f8, f8, UniTuple(f8, 6), f8)"
 )
 def take_in(
     filters: Filters,
     still: Array,
     adds: Array,
-    late_s: Array,
-    phi: Array,
-    seen: NDArray[np.int64],
-    passed: Array,
+    late: tuple[Array, Array, NDArray[np.int64], Array],
     row: tuple[float, float, float, float],
     reference: float,
     most_sd: float,
@@ -165,20 +158,22 @@ def take_in(
 ) -> tuple[float, float, float, float]:
     """Take in a reading: x, p, unseen, weights, phi and seen are as they are after it.
 
-    `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`, `late_s` (H,) how late models run. `passed` (R, 3) has the
-    time of each reading, this one the last, and both integrals until then; `seen` (H,) until which of them each model
-    has seen, and `phi` (H,) what it was there. `most_sd` is of k, in its own unit, how unsure it can become; `tells`
-    how much the reading tells of the balance. `row` is its time since the last one, itself, its noise, and by how much
-    the opening was changed. Of the likeliest model: its innovation in standard deviations, the share of its
-    variance that is none of the powder's, k, and what has come since the last reading [mg].
+    `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`: the columns of k and g of the former become what they add
+    this time. `late` are `late_s` (H,), how late models run; `phi` (H,), what it was where each has seen to; `seen`
+    (H,), the number of that reading; and `passed` (R, 3), the time of each reading, this one the last, and both
+    integrals until then. `row` is the time since the last reading, this one, its noise, and by how much the opening was
+    changed. `most_sd` is of k, in its own unit, how unsure it can become; `tells` how much the reading tells of the
+    balance. Of the likeliest model: its innovation in standard deviations, the share of its variance that is none of
+    the powder's, k, and what has come since the last reading [mg].
     """
     x, p, unseen, weights, _, surge_mg, misfit, _ = filters
+    late_s, phi, seen, passed = late
     dt_s, reading_mg, noise_mg, changed = row
     walk_per_s, bridges_per_s, held_up, uneven, unsteady_s, exponent_error = assumed
     many, last = len(weights), len(passed) - 1
     best = np.argmax(weights)
     told = (0.0, 0.0, 0.0, 0.0)
-    innovations_mg, f, common = np.empty(many), np.empty((K, 5)), 0.0
+    innovations_mg, common = np.empty(many), 0.0
     for h in range(many):
         before, at, due_s = seen[h], last, passed[last, 0] - late_s[h]
         # Until the reading that is nearest; of two as near the later, however their times are rounded.
@@ -190,10 +185,8 @@ def take_in(
         k = x[h, K]
         p[h, K, K] += (exponent_error * changed * k) ** 2
         for i in range(K):
-            for j in range(K):
-                f[i, j] = still[h, i, j]
-            f[i, K], f[i, G] = adds[h, i] * phi_s, adds[h, i] * slope_s
-        carry(x[h], p[h], f)
+            still[h, i, K], still[h, i, G] = adds[h, i] * phi_s, adds[h, i] * slope_s
+        carry(x[h], p[h], still[h])
         flow_mg = max(k, held_up * reference) * phi_s
         p[h, MASS, MASS] += 1e-6 + 2.0 * surge_mg * flow_mg + (uneven * flow_mg) ** 2 / dt_s
         if phi_s > 0.0:
@@ -204,21 +197,17 @@ def take_in(
             phi[h] = phi_s / (passed[at, 0] - passed[before, 0])
         unsteady = (unsteady_s * k * (phi[h] - phi_before)) ** 2
         unexplained = noise_mg**2 + unsteady + (misfit * (x[h, MASS] - x[h, READING])) ** 2
-        shown = p[h, READING, READING]
-        common += weights[h] * (shown + unsteady)
-        variance = shown + unexplained
+        common += weights[h] * (p[h, READING, READING] + unsteady)
+        variance = p[h, READING, READING] + unexplained
         innovations_mg[h] = reading_mg - x[h, READING]
         if h == best:
             told = (innovations_mg[h] / math.sqrt(variance), unexplained / variance, k, k * phi_s)
-        y, rate, mass, of_k, of_g = p[h, READING]
+        with_reading = p[h, READING].copy()
         for i in range(5):
             gain = p[h, i, READING] / variance
             x[h, i] += gain * innovations_mg[h]
-            p[h, i, READING] -= gain * y
-            p[h, i, RATE] -= gain * rate
-            p[h, i, MASS] -= gain * mass
-            p[h, i, K] -= gain * of_k
-            p[h, i, G] -= gain * of_g
+            for j in range(5):
+                p[h, i, j] -= gain * with_reading[j]
         x[h, K] = max(x[h, K], 0.0)
     # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
     for h in range(many):

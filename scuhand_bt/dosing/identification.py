@@ -75,8 +75,10 @@ class Row(NamedTuple):
     """By how much the opening was changed before it, as the logarithm of what lies above the threshold."""
 
 
-def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float | Array) -> tuple[Array, Array]:
-    """(H, 5, 5) over `dt_s`, one for all or (H,), with the valve shut; (H, 5) what k adds per unit of phi's integral.
+def transitions(
+    delays_s: float | Array, pure: float | Array, damping: float | Array, dt_s: float | Array
+) -> tuple[Array, Array]:
+    """(…, 5, 5) over times `dt_s` with the valve shut, and (…, 5) what k adds per unit of phi's integral.
 
     In closed form: (y - M, y') decays by exp(A t), A = ((0, 1), (-w^2, -2 z w)), and M grows linearly.
     """
@@ -86,26 +88,24 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float | Arra
     slow, fast = np.exp((root - s) * dt_s), np.exp(-(root + s) * dt_s)
     cosh, sinh = ((slow + fast) / 2.0).real, ((slow - fast) / (2.0 * root)).real
     e00, e01, e10, e11 = cosh + s * sinh, sinh, -w * w * sinh, cosh - s * sinh
-    still = np.zeros((len(w), 5, 5))
-    still[:, READING, READING], still[:, READING, RATE], still[:, READING, MASS] = e00, e01, 1.0 - e00
-    still[:, RATE, READING], still[:, RATE, RATE], still[:, RATE, MASS] = e10, e11, -e10
-    still[:, MASS, MASS] = still[:, K, K] = still[:, G, G] = 1.0
-    adds = np.zeros((len(w), 5))
-    adds[:, READING] = 1.0 + (2.0 * s * (e00 - 1.0) + e10) / (w * w * dt_s)
-    adds[:, RATE] = (1.0 - e00) / dt_s
-    adds[:, MASS] = 1.0
+    still, adds = np.zeros((*cosh.shape, 5, 5)), np.zeros((*cosh.shape, 5))
+    still[..., READING, READING], still[..., READING, RATE], still[..., READING, MASS] = e00, e01, 1.0 - e00
+    still[..., RATE, READING], still[..., RATE, RATE], still[..., RATE, MASS] = e10, e11, -e10
+    still[..., MASS, MASS] = still[..., K, K] = still[..., G, G] = 1.0
+    adds[..., READING] = 1.0 + (2.0 * s * (e00 - 1.0) + e10) / (w * w * dt_s)
+    adds[..., RATE] = (1.0 - e00) / dt_s
+    adds[..., MASS] = 1.0
     return still, adds
 
 
 def shows_s(balance: BalanceBelief, masses_mg: Array, least_mg: float) -> Array:
     """(N,) so long [s] after masses (N,) [mg], each of which came at once, all but `least_mg` is shown for good."""
     delay_s, (pure, damping) = 2.0 * balance.lag_s, SHAPES[balance.shape]
-    after_s = delay_s * TAIL
-    delays_s, shares, dampings = (np.full_like(after_s, figure) for figure in (delay_s, pure, damping))
-    still, _ = transitions(delays_s, shares, dampings, after_s)
-    most = np.maximum.accumulate(np.abs(still[::-1, READING, READING]))  # at any later time, from the last one back
+    after_s = delay_s * TAIL[::-1]
+    still, _ = transitions(delay_s, pure, damping, after_s)
+    most = np.maximum.accumulate(np.abs(still[:, READING, READING]))  # at any later time, from the last one back
     shown = np.searchsorted(most, least_mg / np.maximum(masses_mg, least_mg)) - 1
-    return pure * delay_s + after_s[::-1][np.maximum(shown, 0)]
+    return pure * delay_s + after_s[np.maximum(shown, 0)]
 
 
 def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
@@ -154,9 +154,8 @@ def _fits(step: Step) -> Mapping[str, tuple[float, float]]:
     """How far each shape is off a step [1], and what the last of the step takes it [s]."""
     delay_s, fits = step.delay_s, dict[str, tuple[float, float]]()
     for shape, (pure, damping) in SHAPES.items():
-        times_s = np.array([max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s])
-        delays_s, shares, dampings = (np.full_like(times_s, figure) for figure in (delay_s, pure, damping))
-        missing = tuple(transitions(delays_s, shares, dampings, times_s)[0][:, READING, READING].tolist())
+        still, _ = transitions(delay_s, pure, damping, np.maximum(np.array(step.times_s) - pure * delay_s, 1e-3))
+        missing = tuple(still[:, READING, READING].tolist())
         fits[shape] = math.dist(missing, step.missing), max(step._replace(missing=missing).last_s, 0.0)
     return fits
 
@@ -168,9 +167,7 @@ def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> Balanc
     counts. What others of almost as good a fit differ by makes it doubtful, and so do the area that is left between,
     and the mass' error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
     """
-    dt_s, phi_s, readings_mg, noise_mg = np.array(
-        [(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]
-    ).T
+    dt_s, phi_s, _, readings_mg, noise_mg, _ = np.array(rows).T
     ends_s, shown_mg = np.cumsum(dt_s), readings_mg - begin_mg
     came_s = np.cumsum([phi_s * (ends_s > late_s) for late_s in BEGINS_S], axis=1)
     came_mg = (came_s / np.maximum(came_s[:, -1:], 1e-9) * gained_mg).repeat(len(SHAPES), axis=0)
@@ -234,8 +231,7 @@ def _shown_mg(delays_s: Array, shapes: Sequence[str] | NDArray[np.str_], dt_s: A
 
     pure, damping = np.array([SHAPES[shape] for shape in shapes]).T
     steps_s, steps = np.unique(np.round(dt_s, 3), return_inverse=True)
-    ways = [transitions(delays_s, pure, damping, step_s) for step_s in steps_s.tolist()]
-    still, adds = (np.array(each) for each in zip(*ways, strict=True))
+    still, adds = transitions(delays_s, pure, damping, steps_s[:, None])
     ends_s = np.append(0.0, np.cumsum(dt_s))
     late = zip(pure * delays_s, came_mg, strict=True)
     arrived_mg = np.array([np.interp(ends_s[1:] - late_s, ends_s, np.append(0.0, came)) for late_s, came in late])

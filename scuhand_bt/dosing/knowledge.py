@@ -97,7 +97,7 @@ class Knowledge:
         """Above the threshold: from less, little comes. Each dose tries less than the one before."""
         self._ratios: list[tuple[float, float, float]] = []
         """Of openings: what came [mg], the coefficient against the belief's as a logarithm, and the mean gap [mm]."""
-        self._told_of = 0.0, 0.0, 0.0
+        self._told_of = np.zeros(3)
         """Of openings that nothing was learnt from yet: what came [mg], the integral of phi, and how long [s]."""
         self.begin(0.0, 1.0)
 
@@ -222,19 +222,10 @@ class Knowledge:
 
     def widest_mm(self, most_mg: float) -> float:
         """The opening that the chance constraint allows, for as much mass as this."""
-        request = self.request
-        return widest_mm(
-            self.bank,
-            self.shape,
-            min(self.aim_mg, most_mg),
-            most_mg,
-            self._late_s + request.valve_dead_time_s,
-            request.valve_speed_mm_per_s,
-            request.max_opening_mm,
-            self.reference,
-            self._known_gap_mm,
-            self.narrowest_mm,
-        )
+        request, aim_mg = self.request, min(self.aim_mg, most_mg)
+        hand = self._late_s + request.valve_dead_time_s, request.valve_speed_mm_per_s, request.max_opening_mm
+        powder = self.reference, self._known_gap_mm, self.narrowest_mm
+        return widest_mm(self.bank, self.shape, aim_mg, most_mg, *hand, *powder)
 
     @property
     def least_mm(self) -> float:
@@ -273,13 +264,12 @@ class Knowledge:
             self.balance = with_found(self.balance, balance_by(self.rows, self.begin_mg, gained_mg))
             self.error_mm = OPENING_ERROR_MM
         # Openings that bring little tell something together.
-        before_mg, before_phi_s, before_s = self._told_of
         open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
-        gained_mg, phi_s, open_s = before_mg + gained_mg, before_phi_s + phi_s, before_s + open_s
-        self._told_of = gained_mg, phi_s, open_s
+        self._told_of += gained_mg, phi_s, open_s
+        gained_mg, phi_s, open_s = self._told_of.tolist()
         if max(gained_mg, self.reference * phi_s) < least_mg:
             return
-        self._told_of = 0.0, 0.0, 0.0
+        self._told_of = np.zeros(3)
         gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
         if gained_mg > least_mg:
             self.gap_mm = gap_mm
@@ -288,18 +278,17 @@ class Knowledge:
         strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
         told = self._told(gap_mm, max(gained_mg - PEAK_LUMPS * self.surge_mg, self.reference * phi_s))
         found = self.reference * (strongest / self.reference) ** told
-        if gained_mg > LEAST_MG:
-            self.seen = max(self.seen, found)
-        elif gained_mg < RISEN * noise_mg:  # nothing at all, though something should have come
-            self.seen *= SLOWER
         was_held_up = gained_mg < FREELY * self.reference * phi_s
         self.reference = max(found, SLOWER * self.reference)
+        if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
+            self.seen = max(self.seen, found)
+            self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
+        elif gained_mg < RISEN * noise_mg:  # nothing at all, though something should have come
+            self.seen *= SLOWER
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
         if was_held_up:  # what comes when nothing is in its way is as little known as before
             spread = max(spread, self.spread)
         self.spread = min(spread, max(self.spread, UNKNOWN_SPREAD))
-        if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
-            self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
 
     def learn_coefficient(self, coefficient: float) -> None:
         """From pulses, each of which was weighed: what they have come to by now."""
@@ -366,18 +355,16 @@ class Knowledge:
         else:
             off = max(abs(ratio), math.log(max(self.seen_now, 1e-9) / belief.coefficient))
             spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(off * off, 1.0))
-        return PowderBelief(
-            coefficient=belief.coefficient * math.exp(weight * ratio),
-            threshold_mm=belief.threshold_mm,
-            gap_mm=float(np.clip(gap_mm, *GAPS_MM)),
-            narrowest_mm=self._needed_mm,
-            exponent=belief.exponent,
-            spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
-            erratic=self.erratic,
-            surge_mg=belief.surge_mg + weight * (self.surge_mg - belief.surge_mg),
-            vibration=belief.vibration,
-            doses=belief.doses + 1,
-        )
+        learnt = {
+            "coefficient": belief.coefficient * math.exp(weight * ratio),
+            "gap_mm": float(np.clip(gap_mm, *GAPS_MM)),
+            "narrowest_mm": self._needed_mm,
+            "spread": min(max(spread, LEAST_KEPT_SPREAD), 1.0),
+            "erratic": self.erratic,
+            "surge_mg": belief.surge_mg + weight * (self.surge_mg - belief.surge_mg),
+            "doses": belief.doses + 1,
+        }
+        return belief.model_copy(update=learnt)
 
     def verdict(self, seen: Observation) -> Reason | None:
         """What a stable mean says: done, too much, or None while there is more to dose.

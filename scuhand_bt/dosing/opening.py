@@ -80,9 +80,7 @@ class Opening:
         self._passed_s += self._known.rows[-1].phi_s
         if score > SURPRISE or self._is_too_strong():
             return "surprise"
-        if (enough := self._enough()) is not None:
-            return enough
-        return self._lacks(is_first)
+        return self._enough() or self._lacks(is_first)
 
     def _is_too_strong(self) -> bool:
         known, bank = self._known, self._known.bank
@@ -95,8 +93,7 @@ class Opening:
     def _enough(self) -> Seen | None:
         """By what is predicted, if it is shut now, and by the next reading."""
         known, bank, period_s = self._known, self._known.bank, self._known.request.balance_period_s
-        means_mg, _ = bank.coming(*known.valve.closing(period_s / 2.0))
-        shut_mg = float(bank.weights @ means_mg)
+        shut_mg, _ = bank.over_all(*bank.coming(*known.valve.closing(period_s / 2.0)))
         if shut_mg >= known.aim_mg:
             return "reached"
         if known.hurries and shut_mg >= known.aim_mg - NEAR_MG:

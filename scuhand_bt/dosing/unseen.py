@@ -75,13 +75,14 @@ def hold_s(known: Knowledge, opening_mm: float, most_mg: float) -> float:
     period_s, valve, bank = known.request.balance_period_s, known.valve, known.bank
     if period_s <= LEAST_HOLD_S:
         return known.until_next_s
-    holds_s = np.geomspace(LEAST_HOLD_S, period_s, HOLDS)
-    ways = [valve.passing(known.shape, opening_mm, each_s) for each_s in holds_s.tolist()]
-    is_allowed = np.array([bank.chance(*way, most_mg) <= RISK for way in ways])
-    if valve.opening_mm == 0.0:
-        stuck, room = replace(known.shape, threshold_mm=known.shape.threshold_mm - STUCK_MM), most_mg - bank.mass_mg
-        passed = np.array([valve.passing(stuck, opening_mm, each_s)[0] for each_s in holds_s.tolist()])
-        is_allowed &= _strong(known) * passed <= room
-    allowed = np.flatnonzero(is_allowed)
-    longest = int(allowed[-1]) if len(allowed) else 0
-    return known.until_next_s if longest == HOLDS - 1 else float(holds_s[longest])
+    holds_s = np.geomspace(period_s, LEAST_HOLD_S, HOLDS).tolist()
+    stuck = replace(known.shape, threshold_mm=known.shape.threshold_mm - STUCK_MM)
+
+    def is_allowed(open_s: float) -> bool:
+        if bank.chance(*valve.passing(known.shape, opening_mm, open_s), most_mg) > RISK:
+            return False
+        is_open = valve.opening_mm > 0.0
+        return is_open or _strong(known) * valve.passing(stuck, opening_mm, open_s)[0] <= most_mg - bank.mass_mg
+
+    longest_s: float = next(filter(is_allowed, holds_s), LEAST_HOLD_S)
+    return known.until_next_s if longest_s == holds_s[0] else longest_s

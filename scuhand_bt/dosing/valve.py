@@ -88,9 +88,8 @@ class ValvePath:
 
     def passes(self, opening_mm: float, open_s: float) -> float:
         """Integral of phi [mm^n s] from an opening until it is shut, which it is told to be after so long."""
-        return self.shape.value(opening_mm) * open_s + self.shape.closing(
-            opening_mm, self._dead_time_s, self._speed_mm_per_s
-        )
+        tail_s = self.shape.closing(opening_mm, self._dead_time_s, self._speed_mm_per_s)
+        return self.shape.value(opening_mm) * open_s + tail_s
 
     def passing(self, shape: FlowShape, opening_mm: float, open_s: float) -> tuple[float, float]:
         """The integrals of phi and its slope until it is shut, if it is told to be so wide now, and shut after so long.
