@@ -522,6 +522,17 @@ def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion:
     assert left_mg == pytest.approx(20_000.0, abs=10.0)
 
 
+def halt_scoop(bench: Bench, lab: Lab, source: Source, at_s: float, every_s: float = 0.1) -> None:
+    """Begin a scoop, break it off at this time, and let arm and hand come to rest."""
+    scooping = lab.library.skills["scoop"](source=source).run(bench.cell)
+    while bench.clock.now_s < at_s:
+        next(scooping)
+        bench.clock.wait([Wake(bench.clock.now_s + every_s)])
+    scooping.close()
+    bench.cell.hand.stop()
+    bench.do(bench.later(2.0, lambda: None))
+
+
 @pytest.mark.parametrize("skill", ["scoop", "return_leftover", "discard"])
 def test_what_empties_or_fills_a_cone_brings_it_out_of_the_mortar_that_its_scoop_was_halted_in(
     starter: Lab, motion: MotionPlanner, skill: str
@@ -529,13 +540,7 @@ def test_what_empties_or_fills_a_cone_brings_it_out_of_the_mortar_that_its_scoop
     """As by a `timeout`: the run ended, and a person was to lead the arm clear by hand."""
     bench, source = scooping_bench(starter, motion)
     cell = bench.cell
-    scooping = starter.library.skills["scoop"](source=source).run(cell)
-    while bench.clock.now_s < 3.5:
-        next(scooping)
-        bench.clock.wait([Wake(bench.clock.now_s + 0.1)])
-    scooping.close()
-    cell.hand.stop()
-    bench.do(bench.later(2.0, lambda: None))
+    halt_scoop(bench, starter, source, 3.5)
     then = starter.library.skills[skill]
     bench.do(then(**({"source": source} if "source" in then.model_fields else {})).run(cell))
     bench.do(starter.library.skills["park"]().run(cell))
@@ -560,13 +565,7 @@ def test_of_mortars_side_by_side_the_cone_is_withdrawn_from_the_one_that_it_was_
     for name, position_mm in cell.places_mm.items():
         planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
     cell.strokes_made["beads"] = first_headings_deg(lab, "mortar_bay", 3)
-    scooping = lab.library.skills["scoop"](source=source).run(cell)
-    while bench.clock.now_s < 2.0:
-        next(scooping)
-        bench.clock.wait([Wake(bench.clock.now_s + 0.1)])
-    scooping.close()
-    cell.hand.stop()
-    bench.do(bench.later(2.0, lambda: None))
+    halt_scoop(bench, lab, source, 2.0)
     bench.do(lab.library.skills["withdraw"]().run(cell))
     assert cell.believed.sheet == source.sheet_key
     assert math.dist(cell.apex_mm()[:2], cell.places_mm["mortar_bay"][:2]) < 5.0
@@ -584,13 +583,7 @@ def test_a_scoop_that_is_halted_where_the_arm_cannot_go_straight_up_comes_up_wit
     cell = bench.cell
     planner.add_place("mortar_bay_2", cell.place("mortar_bay_2"))
     cell.strokes_made["beads"] = first_headings_deg(starter, "mortar_bay_2", 5)
-    scooping = starter.library.skills["scoop"](source=source).run(cell)
-    while bench.clock.now_s < 6.96:
-        next(scooping)
-        bench.clock.wait([Wake(bench.clock.now_s + 0.05)])
-    scooping.close()
-    cell.hand.stop()
-    bench.do(bench.later(2.0, lambda: None))
+    halt_scoop(bench, starter, source, 6.96, every_s=0.05)
     bench.do(starter.library.skills["withdraw"]().run(cell))
     assert cell.apex_mm() == pytest.approx(cell.places_mm["mortar_bay_2"], abs=0.5)
     assert bench.world.masses_mg["spilled"] == 0.0
