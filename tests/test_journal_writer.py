@@ -5,6 +5,7 @@ import math
 import sqlite3
 import subprocess
 import sys
+import time
 import zlib
 from collections.abc import Iterator
 from contextlib import closing
@@ -287,6 +288,26 @@ def test_the_world_is_kept_before_an_entry_and_listeners_are_told_after_it(journ
     journal.job_started(job("a"))
     assert order == [("before", 0), (repr(swapped), 1), ("before", 1), (repr(note), 2), ("before", 2)]
     assert rows(path, "time_s") == [(12.5,)] * 3
+
+
+def test_what_a_dry_run_gathers_at_one_moment_is_written_in_one_piece_and_the_world_kept_once(
+    journal: Journal, path: Path
+) -> None:
+    order: list[tuple[str, int]] = []
+    journal.before_commit = lambda: order.append(("before", len(rows(path))))
+    journal.heard = lambda event: order.append(("heard", len(rows(path))))
+    journal.gathers = True
+    journal.event(SheetSwapped(sheets_used=4))
+    action = journal.action_started(begun("scoop"))
+    time.sleep(2.0 * writer.LOOK_S)  # who looks whether the file is still there takes nothing before the world is kept
+    assert (order, rows(path)) == ([], [])
+    assert journal.waits(action) is None, "what it may begin with is on disk"
+    assert order == [("before", 0), ("heard", 2)]
+    journal.commit()
+    assert len(order) == 2, "nothing was gathered"
+    journal.event(SheetSwapped(sheets_used=5))
+    journal.close()
+    assert order[2:] == [("before", 2), ("heard", 3)]
 
 
 # --- readings

@@ -5,8 +5,9 @@ reader would rather see (jobs, actions, pulses, doses, events) are views of it.
 
 The file (`journal/store.py`) is written beside the run's tick: what happens is numbered and chained where it happens, a
 thread puts it on disk, in that order, and what may only begin once it is there waits for `waits`. A dry run, whose time
-stands still meanwhile, writes where it stands. A journal that is lost (removed, replaced, overtaken by another process,
-on a full disk) ends the run, and what happens until then is kept in a file elsewhere.
+stands still meanwhile, gathers what happens at one moment, and writes it in one piece before time goes on. A journal
+that is lost (removed, replaced, overtaken by another process, on a full disk) ends the run, and what happens until then
+is kept in a file elsewhere.
 """
 
 import json
@@ -47,9 +48,9 @@ class Journal:
     """Writes one run, new or continued.
 
     `durable` is full fsync, for real runs; a dry run goes without. Every call is committed when it returns, or, with
-    `is_beside`, waits for no disk (but for `settle` and `close`). Every call may raise RecordLost, once: what is told
-    to a lost journal after that goes to where it is `kept_in`, so that the cell can still be made safe. Raises OSError,
-    sqlite3.Error for a file that is none.
+    `is_beside` or where it `gathers`, waits for no disk (but for `commit`, `settle` and `close`). Every call may raise
+    RecordLost, once: what is told to a lost journal after that goes to where it is `kept_in`, so that the cell can
+    still be made safe. Raises OSError, sqlite3.Error for a file that is none.
 
     One that is not `is_kept` has no file: of what happens it only tells who listens.
     """
@@ -59,6 +60,8 @@ class Journal:
         self.is_kept = is_kept
         self.is_beside = False
         """Whether a thread beside puts entries on disk; set where time is real."""
+        self.gathers = False
+        """Whether entries wait for `commit`: set where time stands still, and who lets it go on calls that first."""
         self.news = Signal()
         """Fires when entries have come on disk, or never will."""
         self.before_commit: Callable[[], None] = lambda: None
@@ -110,11 +113,19 @@ class Journal:
 
     def waits(self, seq: int | None = None) -> Wake | None:
         """What is to be waited for until an entry (None: all there are) is on disk; None where it is."""
+        self.commit()
         wake = Wake.on(self.news)
         return None if self._on_disk >= (self._seq if seq is None else seq) else wake
 
+    def commit(self) -> None:
+        """Write what was gathered, if there is any."""
+        if self.gathers and self._queue:
+            self.settle()
+
     def settle(self) -> None:
         """Wait until all is on disk: only where nothing moves. Raises RecordLost, once, where it cannot be."""
+        if self.gathers:
+            self._before_commit()
         self._write()
         self._raise_lost()
 
@@ -195,8 +206,8 @@ class Journal:
             if is_told:
                 self.heard(event)
             return self._seq
-        if self._lost is None:
-            self.before_commit()  # first, for it may have something to say itself
+        if not self.gathers:
+            self._before_commit()  # first, for it may have something to say itself
         with self._numbering:
             kind, payload = event.entry()
             state = self._changed_state() if with_state else None
@@ -207,22 +218,26 @@ class Journal:
             self._queue.append(((entry, self._head), event if is_told else None))
         if self.is_beside:
             self._wanted.set()
-        else:
+        elif not self.gathers:
             self._write()
         self._raise_lost()
         return seq
+
+    def _before_commit(self) -> None:
+        if self._lost is None:
+            self.before_commit()
 
     def _keep_writing(self) -> None:
         while not self._closing.is_set():
             self._wanted.wait(LOOK_S)
             self._wanted.clear()
-            self._write()
+            self._write(takes=not self.gathers)
 
-    def _write(self) -> None:
-        """Put on disk what waits, or see that the file is still there to take more."""
+    def _write(self, *, takes: bool = True) -> None:
+        """Put on disk what waits, where it `takes` that, or see that the file is still there to take more."""
         with self._writing:
             with self._numbering:
-                waiting, self._queue = self._queue, []
+                waiting, self._queue = (self._queue, []) if takes else ([], self._queue)
             rows = [row for row, _ in waiting]
             try:
                 if self._store is not None and rows:
@@ -268,6 +283,8 @@ class Journal:
         self._wanted.set()
         if self._thread is not None:
             self._thread.join()
+        if self.gathers:
+            self._before_commit()
         self._write()
         if self._store is not None:
             self._store.close()

@@ -45,6 +45,8 @@ class VirtualClock:
         """Whether time need not be kept any more: the cell is to be made safe."""
         self.is_waited_in: Callable[[], bool] = lambda: False
         """Whether a person is being waited for, whose time is wall time."""
+        self.before_wait: Callable[[], None] = lambda: None
+        """Called before each wait: nothing more happens at this time."""
         self._speed = speed
         self._beat = beat
         self._save_at_s = 0.0
@@ -74,6 +76,7 @@ class VirtualClock:
                 limit_s = until_s
             if signal is not None:
                 signals.append((signal, seen))
+        self.before_wait()
         process, beat = self.process, self._beat
         if math.isinf(limit_s) and (process is None or not signals):
             raise RuntimeError("a wait without end: no time given, and nothing that could fire")
@@ -87,6 +90,7 @@ class VirtualClock:
 
     def hold(self, wakes: Sequence[Wake]) -> None:
         """Let time stand still until a signal of `wakes` fires."""
+        self.before_wait()
         held_at = time.monotonic()
         while not any(wake.has_fired for wake in wakes):
             time.sleep(0.02)

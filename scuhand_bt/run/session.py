@@ -180,6 +180,7 @@ class Session:
         self._records.begin(journal, self.cell)
         journal.is_beside = not isinstance(self.cell.clock, VirtualClock)
         if isinstance(self.cell.clock, VirtualClock):
+            journal.gathers, self.cell.clock.before_wait = True, journal.commit
             self.cell.clock.hurries = lambda: self.control.halts
 
     def _are_twins(self) -> bool:
@@ -296,6 +297,7 @@ class Session:
                     self._account = [RuleAccount(**rule) for rule in account]
                     self.journal.event(FaultRules(rules=self._account))
                 self._records.batch_ended()
+                self.journal.settle()  # while the world can be kept with it
             except RecordLost as lost:  # its end was still written
                 self.notices.append(str(lost))
         self._records.came_to(result)
