@@ -301,10 +301,10 @@ def test_what_a_dry_run_gathers_at_one_moment_is_written_in_one_piece_and_the_wo
     action = journal.action_started(begun("scoop"))
     time.sleep(2.0 * writer.LOOK_S)  # who looks whether the file is still there takes nothing before the world is kept
     assert (order, rows(path)) == ([], [])
-    assert journal.waits(action) is None, "what it may begin with is on disk"
-    assert order == [("before", 0), ("heard", 2)]
-    journal.commit()
-    assert len(order) == 2, "nothing was gathered"
+    assert journal.waits(action) is None, "what it does takes time"
+    for _ in range(2):
+        journal.commit()
+        assert order == [("before", 0), ("heard", 2)]
     journal.event(SheetSwapped(sheets_used=5))
     journal.close()
     assert order[2:] == [("before", 2), ("heard", 3)]

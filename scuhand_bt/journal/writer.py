@@ -112,10 +112,12 @@ class Journal:
         return self._store.path if self._store is not None else None
 
     def waits(self, seq: int | None = None) -> Wake | None:
-        """What is to be waited for until an entry (None: all there are) is on disk; None where it is."""
-        self.commit()
+        """What is to be waited for until an entry (None: all there are) is on disk; None where it is.
+
+        Or will be before time goes on: until then nothing acts.
+        """
         wake = Wake.on(self.news)
-        return None if self._on_disk >= (self._seq if seq is None else seq) else wake
+        return None if self.gathers or self._on_disk >= (self._seq if seq is None else seq) else wake
 
     def commit(self) -> None:
         """Write what was gathered, if there is any."""

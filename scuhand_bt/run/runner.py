@@ -161,6 +161,7 @@ class Runner:
 
     def settle(self) -> None:
         """Let time pass until all that has happened is on disk. Raises RecordLost where it will not be."""
+        self._journal.commit()
         while (writing := self._journal.waits()) is not None:
             self._cell.clock.wait([writing])
             self._journal.keep_up()
