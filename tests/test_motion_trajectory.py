@@ -3,6 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from scuhand_bt.motion.axes import at_times, of_arm, of_roller
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, rest_to_rest_s
 from scuhand_bt.motion.trajectory import beside, standing, through
 
@@ -101,6 +102,14 @@ def test_samples_outside_a_motion_are_its_ends():
     motion = direct(*ends(5))
     assert (motion.sample(-1.0) == motion.start).all()
     assert (motion.sample(99.0) == motion.end).all()
+
+
+def test_many_times_at_once_are_the_same_positions_as_one_by_one_to_the_last_bit():
+    motion = direct(*ends(6))
+    times_s = np.linspace(-0.1, motion.duration_s + 0.1, 200)
+    for course in (motion, of_arm(motion), of_roller(motion).counted_from(0.3)):
+        one_by_one = np.array([course.sample(time_s) for time_s in times_s])
+        assert (at_times(course, times_s) == one_by_one).all()
 
 
 def test_straight_legs_leave_the_polyline_nowhere():

@@ -11,7 +11,7 @@ from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.motion.axes import SomeAxes
+from scuhand_bt.motion.axes import SomeAxes, at_times
 
 START_LIMIT_RAD = math.radians(3.0)
 """How far from the arm a trajectory may begin: a servo under load stands a little off its goal."""
@@ -40,7 +40,7 @@ def check_trajectory(trajectory: Trajectory, positions: Joints, limits_rad: Join
         )
     low, high = limits_rad + np.array([[-HALF_COUNT_RAD], [HALF_COUNT_RAD]])
     looks = max(2, math.ceil(trajectory.duration_s / LOOK_S) + 1)
-    joints = np.array([trajectory.sample(time_s) for time_s in np.linspace(0.0, trajectory.duration_s, looks).tolist()])
+    joints = at_times(trajectory, np.linspace(0.0, trajectory.duration_s, looks))
     beyond = ~((joints >= low) & (joints <= high))
     if beyond.any():
         look, joint = (int(index) for index in np.argwhere(beyond)[0])
@@ -90,7 +90,7 @@ def checked_course(course: SomeAxes, spec: HandSpec, rim_mm: float) -> tuple[flo
     ValueError where the course leaves its limits; SkillFailed arm.not_following where it begins elsewhere.
     """
     looks = max(2, math.ceil(course.duration_s / LOOK_S) + 1)
-    angles_rad = [float(course.sample(time_s)[0]) for time_s in np.linspace(0.0, course.duration_s, looks).tolist()]
+    angles_rad = at_times(course, np.linspace(0.0, course.duration_s, looks))[:, 0].tolist()
     ends_rad = min(angles_rad), max(angles_rad)
     for angle_rad in ends_rad:
         check_rim(Cone.from_roller(math.degrees(angle_rad), spec).diameter_mm, spec)

@@ -7,16 +7,23 @@ Angles [rad], times [s].
 
 from typing import Protocol
 
+import numpy as np
+
 from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.trajectory import JointTrajectory
 
 
-class Course(Protocol):
+class Sampled(Protocol):
+    """What is somewhere at every time."""
+
+    def sample(self, time_s: float) -> Floats: ...
+
+
+class Course(Sampled, Protocol):
     """A motion of all axes, or its stop."""
 
     @property
     def duration_s(self) -> float: ...
-
-    def sample(self, time_s: float) -> Floats: ...
 
     def stopped_from(self, at_s: float) -> "Course": ...
 
@@ -35,12 +42,23 @@ class SomeAxes:
         sampled: Floats = self._whole.sample(time_s)[self._axes] - self._zero_rad
         return sampled
 
+    def at(self, times_s: Floats) -> Floats:
+        """The same at many times (m,): (m, n)."""
+        return at_times(self._whole, times_s)[:, self._axes] - self._zero_rad
+
     def stopped_from(self, at_s: float) -> "SomeAxes":
         return SomeAxes(self._whole.stopped_from(at_s), self._axes, self._zero_rad)
 
     def counted_from(self, zero_rad: float) -> "SomeAxes":
         """The same, with angles counted from another zero."""
         return SomeAxes(self._whole, self._axes, self._zero_rad + zero_rad)
+
+
+def at_times(course: Sampled, times_s: Floats) -> Floats:
+    """Where a course is at many times (m,): (m, n). Of our own motions all at once, which is far quicker."""
+    if isinstance(course, JointTrajectory | SomeAxes):
+        return course.at(times_s)
+    return np.array([course.sample(time_s) for time_s in times_s.tolist()])
 
 
 def of_arm(whole: Course) -> SomeAxes:
