@@ -182,6 +182,7 @@ class Runner:
                 return Outcome(fault, "tripped")
             shared.is_pausing = control.is_pausing
             root.tick_once()
+            self._journal.commit()  # who is shown the tick may read it
             self._observer.ticked(root)
             if root.status is not Status.RUNNING:
                 return None
