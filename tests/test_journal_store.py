@@ -109,6 +109,26 @@ def test_a_journal_that_is_lost_before_its_first_entry_has_it_elsewhere(tmp_path
     assert len(read(journal.kept_in, "entry")) == 1
 
 
+@pytest.mark.parametrize("replaced", [False, True])
+def test_what_was_rescued_is_whole_once_it_is_moved_to_where_the_journal_was(tmp_path: Path, *, replaced: bool) -> None:
+    """Of the file that is gone SQLite leaves another beside it, which it would read into the next one of that name."""
+    journal = Journal(tmp_path / "runs" / "r.sqlite", durable=False)
+    journal.event(NOTE)
+    if replaced:
+        (tmp_path / "other").write_bytes(journal.path.read_bytes())
+        (tmp_path / "other").replace(journal.path)
+    else:
+        journal.path.unlink()
+    with pytest.raises(RecordLost):
+        journal.event(NOTE)
+    journal.event(NOTE)
+    journal.close()
+    assert journal.kept_in is not None
+    journal.kept_in.replace(journal.path)
+    assert len(read(journal.path, "entry")) == 3
+    assert problem_of(journal.path, journal.head) is None
+
+
 # --- beside the tick
 
 

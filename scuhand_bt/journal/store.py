@@ -62,6 +62,10 @@ def read_only(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
 
 
+BESIDE = ("-wal", "-shm")
+"""What SQLite keeps beside a database that is written."""
+
+
 class Store:
     """One journal's file, made if there is none; `durable` is full fsync. Raises OSError, sqlite3.Error.
 
@@ -91,12 +95,8 @@ class Store:
 
     def look(self) -> None:
         """Raises RecordLost for a file that is gone, or another, or that another process has added to."""
-        try:
-            is_there = os.path.samestat(self.path.stat(), self._file)
-        except FileNotFoundError:
-            raise RecordLost("it was taken away") from None
-        if not is_there:
-            raise RecordLost("another file stands in its place")
+        if not self._is_there():
+            raise RecordLost("another file stands in its place" if self.path.exists() else "it was taken away")
         if self._last() != self.last:
             raise RecordLost(OVERTAKEN)
 
@@ -120,6 +120,16 @@ class Store:
         with suppress(sqlite3.Error):
             self.db.execute("PRAGMA journal_mode=DELETE")
         self.db.close()
+        with suppress(OSError):
+            if not self._is_there():  # what is left beside it would be read into whatever file comes to stand there
+                for suffix in BESIDE:
+                    self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
+
+    def _is_there(self) -> bool:
+        try:
+            return os.path.samestat(self.path.stat(), self._file)
+        except FileNotFoundError:
+            return False
 
     def _last(self) -> tuple[int, bytes]:
         last: tuple[int, bytes] | None = self.db.execute(_LAST).fetchone()

@@ -31,7 +31,7 @@ from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnd
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest
 from scuhand_bt.journal.plain import to_json
 from scuhand_bt.journal.results import SoFar
-from scuhand_bt.journal.store import Row, Store
+from scuhand_bt.journal.store import BESIDE, Row, Store
 from scuhand_bt.record import RecordLost
 
 POINTS_OF_NO_RETURN = (DoseBegun, DoseWeighed, ContainerLifted, BracketClosed, Returned, Discarded)
@@ -294,5 +294,5 @@ class Journal:
     def discard(self) -> None:
         """The run did not come about: no journal of it."""
         self.close()
-        for suffix in ("", "-wal", "-shm"):
+        for suffix in ("", *BESIDE):
             self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
