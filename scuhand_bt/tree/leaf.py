@@ -1,7 +1,7 @@
 """The leaf of a job's tree: it drives a skill's generator, and shares with the other nodes what a tick needs."""
 
 import traceback
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -178,13 +178,6 @@ class SkillLeaf(Behaviour):
         self._recorded = self._shared.replay.recorded(self.path, self.visits)
         self._began_waiting_s = self._shared.cell.clock.now_s
 
-    def tick(self) -> Iterator[Behaviour]:
-        """As py_trees' own, but for a line of its log, which takes as long as all that a leaf mostly does."""
-        if self.status is not Status.RUNNING:
-            self.initialise()
-        is_now(self, self.update())
-        yield self
-
     @property
     def is_stuck(self) -> bool:
         """It is being replayed, and waits to be halted as it was then."""
@@ -359,14 +352,6 @@ class SkillLeaf(Behaviour):
         if self._is_recorded:
             self._is_recorded = False
             self._shared.listener.ended(self, outcome, result)
-
-
-def is_now(node: Behaviour, status: Status) -> None:
-    """What a tick came to; a node that has ended halts what it left running."""
-    if status is Status.RUNNING:
-        node.status = status
-    else:
-        node.stop(status)
 
 
 def bug_of(name: str, error: BaseException) -> SkillBug:

@@ -18,7 +18,7 @@ from py_trees.decorators import Decorator
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.tree.leaf import Arguments, Ticking, is_now, is_stuck
+from scuhand_bt.tree.leaf import Arguments, Ticking, is_stuck
 from scuhand_bt.tree.record import Round
 from scuhand_bt.tree.replay import Decision
 
@@ -39,7 +39,7 @@ class _Begun(Decorator):
             yield self
             return
         self.decorated.tick_once()
-        is_now(self, self.update())
+        _is_now(self, self.update())
         yield self
 
     def _begins(self) -> bool:
@@ -183,7 +183,7 @@ class ForEach(_Begun):
             if self.decorated.status is not Status.SUCCESS:
                 break
             self._round.number += 1
-        is_now(self, self.update())
+        _is_now(self, self.update())
         yield self
 
     def update(self) -> Status:
@@ -219,7 +219,7 @@ class Chosen(Composite):
         if self.current_child is not None:
             self.current_child.tick_once()
             status = self.current_child.status
-        is_now(self, status)
+        _is_now(self, status)
         yield self
 
 
@@ -240,8 +240,16 @@ class Fallback(Selector):
             child.tick_once()
             if child.status is not Status.FAILURE or failure_of(child).code not in self._codes:
                 break
-        is_now(self, child.status)
+        _is_now(self, child.status)
         yield self
+
+
+def _is_now(node: Behaviour, status: Status) -> None:
+    """What a tick came to; a node that has ended halts what it left running."""
+    if status is Status.RUNNING:
+        node.status = status
+    else:
+        node.stop(status)
 
 
 def _reset(children: Sequence[Behaviour]) -> None:
