@@ -19,7 +19,7 @@ from scuhand_bt.journal.hash_chain import COLUMNS, Entry, Verified, verify
 from scuhand_bt.journal.kinds import NewerShape
 from scuhand_bt.journal.migrations import MIGRATIONS, in_memory, is_as_made
 from scuhand_bt.journal.results import SampleResult
-from scuhand_bt.journal.store import SCHEMA_VERSION, read_only
+from scuhand_bt.journal.store import BESIDE, SCHEMA_VERSION, read_only
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 NONE = "this is no journal of a run"
@@ -144,7 +144,7 @@ def _readable(path: Path) -> Iterator[Path]:
     To read the log that a killed run has left, SQLite wants a third file beside it: where that is not there and cannot
     be made, the two are copied.
     """
-    log, index = (path.with_name(path.name + suffix) for suffix in ("-wal", "-shm"))
+    log, index = (path.with_name(path.name + suffix) for suffix in BESIDE)
     with ExitStack() as opened:
         if log.is_file() and not index.exists() and not os.access(path.parent, os.W_OK):
             folder = Path(opened.enter_context(TemporaryDirectory()))

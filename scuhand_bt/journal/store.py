@@ -55,15 +55,13 @@ CREATE VIEW event AS SELECT seq AS id, action, time_s, kind, payload FROM entry
 """
 _LAST = "SELECT seq, hash FROM entry ORDER BY seq DESC LIMIT 1"
 _INSERT = f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})"
+BESIDE = ("-wal", "-shm")
+"""What SQLite keeps beside a database that is written."""
 
 
 def read_only(path: Path) -> sqlite3.Connection:
     """A database that is there, to be read; nothing of it is changed. Raises sqlite3.Error."""
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
-
-
-BESIDE = ("-wal", "-shm")
-"""What SQLite keeps beside a database that is written."""
 
 
 class Store:
