@@ -14,7 +14,7 @@ from test_journal import problem_of
 from test_rehearse import HEAD, session_of
 from test_resume import Run, Watch
 
-from scuhand_bt.clock import Steps
+from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.liveness import LIMIT_S, Liveness
 from scuhand_bt.events.entry import Note
 from scuhand_bt.journal.reader import read
@@ -109,16 +109,12 @@ def test_a_journal_that_is_lost_before_its_first_entry_has_it_elsewhere(tmp_path
     assert len(read(journal.kept_in, "entry")) == 1
 
 
-@pytest.mark.parametrize("replaced", [False, True])
-def test_what_was_rescued_is_whole_once_it_is_moved_to_where_the_journal_was(tmp_path: Path, *, replaced: bool) -> None:
+@pytest.mark.parametrize("how", ["removed", "replaced"])
+def test_what_was_rescued_is_whole_once_it_is_moved_to_where_the_journal_was(tmp_path: Path, how: str) -> None:
     """Of the file that is gone SQLite leaves another beside it, which it would read into the next one of that name."""
     journal = Journal(tmp_path / "runs" / "r.sqlite", durable=False)
     journal.event(NOTE)
-    if replaced:
-        (tmp_path / "other").write_bytes(journal.path.read_bytes())
-        (tmp_path / "other").replace(journal.path)
-    else:
-        journal.path.unlink()
+    lose(journal.path, how)
     with pytest.raises(RecordLost):
         journal.event(NOTE)
     journal.event(NOTE)
@@ -127,6 +123,22 @@ def test_what_was_rescued_is_whole_once_it_is_moved_to_where_the_journal_was(tmp
     journal.kept_in.replace(journal.path)
     assert len(read(journal.path, "entry")) == 3
     assert problem_of(journal.path, journal.head) is None
+
+
+def test_what_happens_in_a_dry_run_is_on_disk_once_its_time_goes_on(tmp_path: Path) -> None:
+    found = list[str]()
+
+    class Noting(Watch):
+        def ticked(self, root: Any) -> None:
+            super().ticked(root)
+            if self.ticks == 5:
+                journal, clock = self.session.journal, self.session.cell.clock
+                journal.event(NOTE)
+                clock.wait([Wake(clock.now_s + 0.02)])
+                found.extend(entry["kind"] for entry in read(journal.path, "entry"))
+
+    Run(tmp_path, make_lab(tmp_path / "lab")).go(Noting())
+    assert NOTE.kind in found
 
 
 # --- beside the tick
