@@ -74,6 +74,12 @@ def test_a_night_that_ends_when_it_begins_is_refused() -> None:
         read_night("20:00-20:00")
 
 
+def test_the_same_time_of_another_day_is_told_with_the_days_that_have_gone_by(plan: Plan) -> None:
+    """25 hours after eight in the evening was told as one hour after it."""
+    (said,) = stays_in_words(plan, odds_of(plan, [trial_of(plan, 25.0 * 3600.0)] * 8), read_night("20:00-08:00"))
+    assert said == "So a person comes 2 times: for the start, and from 19:01 to 23:08 (+1 d) (1 moment)."
+
+
 def test_a_sample_behind_a_moment_that_needs_a_person_is_not_done(plan: Plan, desk: Desk) -> None:
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
     found = {fate.sample: fate.why for fate in fates(plan, odds, read_night("20:00-08:00"))}
