@@ -323,6 +323,15 @@ def test_a_trial_says_when_a_person_was_asked(lab_folder: LabFolder) -> None:
     assert 5.0 <= first_s == last_s < one.began_s["finish the batch"]
 
 
+def test_a_trial_that_stops_says_why(lab_folder: LabFolder) -> None:
+    tree = "tree: {timeout: {duration: 5 s, child: {wait: {duration: 10 s}}}}\n"
+    lab_folder.write("trees/fails.yaml", f"workflow: fails\ninputs: {{source: Source}}\n{tree}")
+    for policy, why in (("stop", "a: "), ("flag", "")):
+        recipe = lab_folder.write(f"recipes/{policy}.yaml", ASKING.replace("ask}", f"{policy}}}"))
+        one = trial(Setup(recipe, lab_folder.folder), 0)
+        assert (one.stopped[:3], one.samples[0].good) == (why, False)
+
+
 def test_a_trial_says_from_when_until_when_each_action_of_a_job_asked_a_person(lab_folder: LabFolder) -> None:
     """Of containers that are changed by hand each is a moment: one is taken off, the bare pan weighed, the next put."""
     lab_folder.replace("robot/cell.yaml", "{driver: carousel, slots: 24}", "{driver: operator}")
