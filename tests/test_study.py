@@ -215,10 +215,26 @@ def test_what_fails_beside_the_store_is_not_told_of_it(setup: Setup, tmp_path: P
         raise OSError("another file")
 
 
-def test_what_is_varied_is_what_is_run(setup: Setup) -> None:
-    slow, quick = (replace(setup, changes=((FLOW, flow), ("recipe.samples.2.mass", "90 mg"))) for flow in ("20", "300"))
-    assert trial(slow, 0).samples[2].target_mg == 90.0
-    assert trial(slow, 0).duration_s > trial(quick, 0).duration_s
+TELLING = """from scuhand_bt.sim.powder import OurPowderFlow
+
+FLOWS = []
+
+
+class Telling:
+    def flow(self, powder):
+        FLOWS.append(powder.simulation.flow_coefficient)
+        return OurPowderFlow(powder)
+"""
+
+
+def test_what_is_varied_is_what_is_run(setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The physics tell what they were made with: how long a dose takes is as much chance's."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "telling_physics.py").write_text(TELLING, encoding="utf-8")
+    name, changes = "telling_physics:Telling", ((FLOW, "20"), ("recipe.samples.2.mass", "90 mg"))
+    tried = trial(replace(setup, plant=name, physics=plant_hash(name), changes=changes), 0)
+    assert [one.target_mg for one in tried.samples] == [50.0, 50.0, 90.0]
+    assert set(sys.modules["telling_physics"].FLOWS) == {20.0}
 
 
 @pytest.mark.parametrize(
