@@ -763,6 +763,25 @@ def test_a_ctrl_c_tells_what_a_plan_has_come_to_so_far(
     assert (as_json.returncode, as_json.stdout) == (130, ""), "what reads it would take it for the whole"
 
 
+def test_a_plan_and_a_study_tell_that_runs_stop_and_need_a_person_then(
+    setup: Setup, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of samples that overshot in a row only those were told that were not run then, and that nobody is needed."""
+
+    def some_stop(tasks: Sequence[Task], *_: object) -> Iterator[tuple[Task, Trial]]:
+        for seed, task in enumerate(tasks):
+            yield task, replace(fake(seed, 600.0, "a"), stopped=f"b: overshot, {seed}" if seed else "")
+
+    monkeypatch.setattr("scuhand_bt.study.all_trials", some_stop)
+    for asked in ("plan", "study"):
+        told = command(asked, setup.recipe, "--trials", 4)
+        assert "Of 4 dry runs 3 stopped before the end, which shortens the time" in told.stdout
+        assert "to resume the run. The first: b: overshot, 1\n" in told.stdout
+        assert "no person is needed" not in told.stdout
+    stopped = json.loads(command("plan", setup.recipe, "--trials", 4, "--json").stdout)["odds"]["stopped"]
+    assert stopped == ["b: overshot, 1", "b: overshot, 2", "b: overshot, 3"]
+
+
 def test_verdicts_without_a_failure_are_told_apart_from_what_failed(setup: Setup) -> None:
     lab = load_lab(setup.lab)
     plan = make_plan(load_recipe(setup.recipe, lab), lab)
