@@ -258,11 +258,12 @@ def test_a_hand_that_takes_steps_only_lets_no_pulse_bring_far_more_than_is_missi
     assert dosed.run.finish.reason == "reached"
 
 
-@pytest.mark.parametrize("seed", [5, 21, 27, 37])
+@pytest.mark.parametrize("seed", [16, 33, 39, 42])
 def test_a_bridge_of_lumps_is_no_end_of_a_load_that_holds_more_than_is_believed(seed: int) -> None:
+    """In each of these one holds for longer than 3 s, with 1 to 2.4 g to go."""
     rig = Bench(POWDERS["titanium_dioxide"], 4500.0, seed, 0, Setting(load_ratio=1.6))
-    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True, cone_mg=3600.0)
-    assert abs(dosed.true_error_mg) < 10.0, "with up to 1500 mg to go nothing came for 3 s"
+    dosed = rig.dose("adaptive", balance=STEPPED, may_scoop_again=True, cone_mg=2400.0)
+    assert abs(dosed.true_error_mg) < 10.0
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])

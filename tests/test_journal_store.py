@@ -22,6 +22,7 @@ from scuhand_bt.journal.store import Row, Store
 from scuhand_bt.journal.writer import LOOK_S, Journal
 from scuhand_bt.lab import load_lab
 from scuhand_bt.record import Record, RecordLost
+from scuhand_bt.run.resume import world_path
 from scuhand_bt.run.simulation import Rehearsal
 from scuhand_bt.skill import Skill
 
@@ -139,6 +140,18 @@ def test_what_happens_in_a_dry_run_is_on_disk_once_its_time_goes_on(tmp_path: Pa
 
     Run(tmp_path, make_lab(tmp_path / "lab")).go(Noting())
     assert NOTE.kind in found
+
+
+def test_what_a_dry_run_tells_after_its_end_is_on_disk_while_its_world_is_kept_with_it(tmp_path: Path) -> None:
+    run, kept = Run(tmp_path, make_lab(tmp_path / "lab")), dict[str, bool]()
+
+    def heard(event: Any) -> None:
+        kept[event.entry()[0]] = world_path(run.journal).exists()
+
+    assert run.go(Watch(), heard=heard).is_complete
+    assert kept["ended"]
+    assert kept["matter"]
+    assert not world_path(run.journal).exists()
 
 
 # --- beside the tick

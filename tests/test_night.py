@@ -74,6 +74,12 @@ def test_a_night_that_ends_when_it_begins_is_refused() -> None:
         read_night("20:00-20:00")
 
 
+def test_the_same_time_of_another_day_is_told_with_the_days_that_have_gone_by(plan: Plan) -> None:
+    """25 hours after eight in the evening was told as one hour after it."""
+    (said,) = stays_in_words(plan, odds_of(plan, [trial_of(plan, 25.0 * 3600.0)] * 8), read_night("20:00-08:00"))
+    assert said == "So a person comes 2 times: for the start, and from 19:01 to 23:08 (+1 d) (1 moment)."
+
+
 def test_a_sample_behind_a_moment_that_needs_a_person_is_not_done(plan: Plan, desk: Desk) -> None:
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
     found = {fate.sample: fate.why for fate in fates(plan, odds, read_night("20:00-08:00"))}
@@ -315,6 +321,15 @@ def test_a_trial_says_when_a_person_was_asked(lab_folder: LabFolder) -> None:
     assert list(one.asked_s) == ["a"]
     ((first_s, last_s),) = one.asked_s["a"]
     assert 5.0 <= first_s == last_s < one.began_s["finish the batch"]
+
+
+def test_a_trial_that_stops_says_why(lab_folder: LabFolder) -> None:
+    tree = "tree: {timeout: {duration: 5 s, child: {wait: {duration: 10 s}}}}\n"
+    lab_folder.write("trees/fails.yaml", f"workflow: fails\ninputs: {{source: Source}}\n{tree}")
+    for policy, why in (("stop", "a: "), ("flag", "")):
+        recipe = lab_folder.write(f"recipes/{policy}.yaml", ASKING.replace("ask}", f"{policy}}}"))
+        one = trial(Setup(recipe, lab_folder.folder), 0)
+        assert (one.stopped[:3], one.samples[0].good) == (why, False)
 
 
 def test_a_trial_says_from_when_until_when_each_action_of_a_job_asked_a_person(lab_folder: LabFolder) -> None:

@@ -215,10 +215,26 @@ def test_what_fails_beside_the_store_is_not_told_of_it(setup: Setup, tmp_path: P
         raise OSError("another file")
 
 
-def test_what_is_varied_is_what_is_run(setup: Setup) -> None:
-    slow, quick = (replace(setup, changes=((FLOW, flow), ("recipe.samples.2.mass", "90 mg"))) for flow in ("20", "300"))
-    assert trial(slow, 0).samples[2].target_mg == 90.0
-    assert trial(slow, 0).duration_s > trial(quick, 0).duration_s
+TELLING = """from scuhand_bt.sim.powder import OurPowderFlow
+
+FLOWS = []
+
+
+class Telling:
+    def flow(self, powder):
+        FLOWS.append(powder.simulation.flow_coefficient)
+        return OurPowderFlow(powder)
+"""
+
+
+def test_what_is_varied_is_what_is_run(setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The physics tell what they were made with: how long a dose takes is as much chance's."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "telling_physics.py").write_text(TELLING, encoding="utf-8")
+    name, changes = "telling_physics:Telling", ((FLOW, "20"), ("recipe.samples.2.mass", "90 mg"))
+    tried = trial(replace(setup, plant=name, physics=plant_hash(name), changes=changes), 0)
+    assert [one.target_mg for one in tried.samples] == [50.0, 50.0, 90.0]
+    assert set(sys.modules["telling_physics"].FLOWS) == {20.0}
 
 
 @pytest.mark.parametrize(
@@ -745,6 +761,25 @@ def test_a_ctrl_c_tells_what_a_plan_has_come_to_so_far(
     assert "what a night holds" not in command(*asked[:4]).stderr, "who has not asked for one"
     as_json = command(*asked, "--json")
     assert (as_json.returncode, as_json.stdout) == (130, ""), "what reads it would take it for the whole"
+
+
+def test_a_plan_and_a_study_tell_that_runs_stop_and_need_a_person_then(
+    setup: Setup, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of samples that overshot in a row only those were told that were not run then, and that nobody is needed."""
+
+    def some_stop(tasks: Sequence[Task], *_: object) -> Iterator[tuple[Task, Trial]]:
+        for seed, task in enumerate(tasks):
+            yield task, replace(fake(seed, 600.0, "a"), stopped=f"b: overshot, {seed}" if seed else "")
+
+    monkeypatch.setattr("scuhand_bt.study.all_trials", some_stop)
+    for asked in ("plan", "study"):
+        told = command(asked, setup.recipe, "--trials", 4)
+        assert "Of 4 dry runs 3 stopped before the end, which shortens the time" in told.stdout
+        assert "to resume the run. The first: b: overshot, 1\n" in told.stdout
+        assert "no person is needed" not in told.stdout
+    stopped = json.loads(command("plan", setup.recipe, "--trials", 4, "--json").stdout)["odds"]["stopped"]
+    assert stopped == ["b: overshot, 1", "b: overshot, 2", "b: overshot, 3"]
 
 
 def test_verdicts_without_a_failure_are_told_apart_from_what_failed(setup: Setup) -> None:

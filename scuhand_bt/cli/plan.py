@@ -184,15 +184,16 @@ def _odds(made: "Plan", ended: "Iterable[Trial]") -> "Odds":
 def _is_asked_all_the_same(made: "Plan", odds: "Odds | None") -> bool:
     from scuhand_bt.study import unforeseen
 
-    return odds is not None and bool(unforeseen(made, odds))
+    return odds is not None and bool(odds.stopped or unforeseen(made, odds))
 
 
 def _of_persons(
     made: "Plan", lab: "Lab", odds: "Odds", hours: "Night | None", tried: "Callable[[Plan], Odds]"
 ) -> Iterator[str]:
     """How often somebody comes, and what is done in hours in which nobody does."""
-    from scuhand_bt.study import in_words, stays_in_words, unforeseen_in_words
+    from scuhand_bt.study import in_words, stays_in_words, stopped_in_words, unforeseen_in_words
 
+    yield from stopped_in_words(odds)
     yield from unforeseen_in_words(made, odds)
     yield from stays_in_words(made, odds, hours)
     if hours is not None:

@@ -78,6 +78,7 @@ def study(
         open_store,
         plant_hash,
         read_vary,
+        stopped_in_words,
         write_table,
     )
 
@@ -131,6 +132,8 @@ def study(
         print_json({**asdict(odds), "draws": len(apart), "indices": dominant})
         return
     tell_odds(odds)
+    for line in stopped_in_words(odds):
+        out.print(Text(line), soft_wrap=True)
     if dominant:
         tell_dominant(dominant, varied.design if varied is not None else "")
     out.print(Text(f"Trials are kept in {kept_in}"), soft_wrap=True)

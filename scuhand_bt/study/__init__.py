@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from scuhand_bt.study.odds import CELLS, FEWEST, RECKONED, Chance, Odds, Range, odds_of
     from scuhand_bt.study.optimise import diff, optimised
     from scuhand_bt.study.pool import all_trials, executor_of
-    from scuhand_bt.study.stays import stays_in_words, unforeseen, unforeseen_in_words
+    from scuhand_bt.study.stays import stays_in_words, stopped_in_words, unforeseen, unforeseen_in_words
     from scuhand_bt.study.store import Store, open_store
     from scuhand_bt.study.table import TABLE_KINDS, write_table
     from scuhand_bt.study.trial import Setup, Task, Trial
@@ -24,7 +24,7 @@ else:
             "study.odds": "CELLS FEWEST RECKONED Chance Odds Range odds_of",
             "study.optimise": "diff optimised",
             "study.pool": "all_trials executor_of",
-            "study.stays": "stays_in_words unforeseen unforeseen_in_words",
+            "study.stays": "stays_in_words stopped_in_words unforeseen unforeseen_in_words",
             "study.store": "Store open_store",
             "study.table": "TABLE_KINDS write_table",
             "study.trial": "Setup Task Trial",
@@ -63,6 +63,7 @@ __all__ = [
     "read_night",
     "read_vary",
     "stays_in_words",
+    "stopped_in_words",
     "unforeseen",
     "unforeseen_in_words",
     "write_table",

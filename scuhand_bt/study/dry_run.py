@@ -97,6 +97,7 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
         used_mg,
         {name: dict(mg) for name, mg in became_mg.items()},
         dict(told.asked_s),
+        "" if result.is_complete else result.reason,
     )
 
 

@@ -25,10 +25,10 @@ class Night:
         return (self.ends - self.begins).total_seconds()
 
     def clock(self, after_s: float) -> str:
-        """The time of the day, so long after it began; with the days that have gone by."""
+        """The time of the day, so long after it began; with the days that have gone by, where it came before."""
         at = self.begins + timedelta(seconds=after_s)
         days = (at.date() - self.begins.date()).days
-        return f"{at:%H:%M}" + (f" (+{days} d)" if days > 1 else "")
+        return f"{at:%H:%M}" + (f" (+{days} d)" if at >= self.begins + timedelta(days=1) else "")
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,8 @@ class Odds:
     """How many trials have come to the end of each job."""
     alone: Mapping[str, int]
     """How many of these with nobody asked for anything until then."""
+    stopped: Sequence[str]
+    """Why trials have stopped before their end: of each that has."""
     samples: Mapping[str, Chance]
     """Of every sample that any trial was asked for."""
     asked: float
@@ -185,6 +187,7 @@ def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> O
             )
             for job in plan.jobs
         },
+        stopped=[trial.stopped for trial in found if trial.stopped],
         samples=samples,
         asked=len(asked) / len(found),
         good=sum(samples[name].probability for name in asked) / len(found),

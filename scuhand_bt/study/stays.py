@@ -37,6 +37,15 @@ def stays(plan: Plan, odds: Odds) -> Iterator[Stay]:
     yield Stay(moments, first.low, last.high)
 
 
+def stopped_in_words(odds: Odds) -> Iterator[str]:
+    """How many dry runs have stopped before their end, and why, for whoever is to go on with such a run."""
+    if odds.stopped:
+        yield (
+            f"Of {counted(odds.trials, 'dry run')} {len(odds.stopped)} stopped before the end, which shortens the time "
+            f"that is told: a person has to look at the cell then, and to resume the run. The first: {odds.stopped[0]}"
+        )
+
+
 def unforeseen(plan: Plan, odds: Odds) -> list[str]:
     """The jobs that need no person by the plan, and in which dry runs asked one for something."""
     needed = {person.job for person in plan.persons}

@@ -74,6 +74,8 @@ class Trial:
     """By source, what was left in the cone after doses: returned, discarded, put away; of what was kept the most."""
     asked_s: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
     """When a person was first and last asked for something by each action that did so, by its job's name."""
+    stopped: str = ""
+    """Why it stopped before its end; empty where it came to that."""
 
 
 Task: TypeAlias = tuple[Setup, int]
