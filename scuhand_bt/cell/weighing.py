@@ -141,6 +141,8 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
             break
     shown_s = cell.clock.now_s
     mean = yield from cell.right_of_way.stable_mean(RESTS_S)
+    while _is_on_its_way(mean) and cell.clock.now_s < shown_s + RESTS_S:
+        mean = yield from cell.right_of_way.stable_mean(RESTS_S)
     took_s = mean.time_s - shown_s
     quick_s = max(QUICK_S, QUICK_READINGS * cell.spec.balance.period_s)
     if took_s > quick_s:
@@ -153,6 +155,12 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
         if abs(now.gross_mg - last.gross_mg) <= 2.0 * apart_mg(last, now, cell.spec.balance.readability_mg):
             break
     return mean
+
+
+def _is_on_its_way(mean: StableMean) -> bool:
+    """Whether a balance has called readings stable that show the load as it comes: some say so for seconds after it."""
+    values_mg = [reading.value_mg for reading in mean.readings]
+    return max(values_mg) - min(values_mg) > CHANGED_MG
 
 
 def _stable_s(cell: Cell, since_s: float) -> float:
