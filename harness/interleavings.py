@@ -23,7 +23,7 @@ from scuhand_bt.problems import SourceError
 POWER_CUTS_WEIGHT = 36
 """How much likelier a process is killed where that is a power cut, so that most of these interleavings have one."""
 TICKS = 250
-"""Of a run's 670, the most that it goes on at a time."""
+"""Of a run's 560, the most that it goes on at a time."""
 TRIES = 8
 CLOCKS_S = (-86400.0, 3600.0, 30 * 365 * 86400.0)
 

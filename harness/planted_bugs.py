@@ -43,7 +43,7 @@ class Bug:
 
     def at(self, seed: int) -> tuple[str, ...]:
         """The script of this seed."""
-        return tuple(step.format(ticks=300 + 8 * seed, later=600 + 20 * seed) for step in self.script)
+        return tuple(step.format(ticks=155 + 6 * seed, later=340 + 6 * seed) for step in self.script)
 
 
 def _reads_before_locking() -> None:
@@ -211,7 +211,7 @@ BUGS = {
     "exit.by_skill": Bug(
         "`sys.exit(0)` in a skill is the exit code of the run",
         _lets_skills_exit,
-        ("begin", "finish@0"),
+        ("begin:1", "finish@0"),
         careless="ends the program",
     ),
     "journal.removed": Bug(
@@ -221,13 +221,13 @@ BUGS = {
     "skill.valve": Bug(
         "a skill may end with the valve open",
         _ends_with_the_valve_open,
-        ("begin", "finish@0"),
+        ("begin:1", "finish@0"),
         careless="leaves the valve open",
     ),
     "skill.ended": Bug(
         "a skill may write that the run has ended",
         _lets_skills_write_anything,
-        ("begin", "finish@0"),
+        ("begin:1", "finish@0"),
         careless="says that the run has ended",
     ),
     "verify.chain_only": Bug("`verify` accepts a journal that was written anew with a whole chain", _knows_no_ledger),

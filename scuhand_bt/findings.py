@@ -131,8 +131,8 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "Samples of fewer containers, or more `slots` in robot/cell.yaml.",
         ),
         "lot-twice": _warning(
-            "A dose that a sample asks for is followed by another of its lot into its container: there they are one.",
-            "Another lot for one of them, or another container.",
+            "A dose is repeated, or followed by another of its lot into its container: there they are one.",
+            "The mass that is to be there in all, another lot for one of them, or another container.",
         ),
         "unknown-demand": Finding(
             "How much a sample takes of which of its sources cannot be told before the run.",

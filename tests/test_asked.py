@@ -223,8 +223,8 @@ tree: {sequence: [
     [
         ("beads", "$ratio * $one.dispensed", ["warning"]),
         ("beads", "2 * $ratio * $one.dispensed", ["warning"]),
-        ("beads", "$ratio * $mass", ["error"]),
-        ("beads", "2 * $ratio * $mass", []),
+        ("beads", "$ratio * $mass", ["warning", "error"]),
+        ("beads", "2 * $ratio * $mass", ["warning"]),
         ("msg", "2 * $ratio * $one.dispensed", []),
     ],
 )
@@ -272,6 +272,34 @@ def test_only_a_dose_that_always_comes_behind_the_asked_one_is_warned_of(
     problems = check(lab_folder.load(), recipe, fast=True).problems
     assert not [one for one in problems if not one.is_warning]
     assert [one.mark.line for one in problems if one.code == "lot-twice"] == ([8] if is_warned else [])
+
+
+@pytest.mark.parametrize(
+    ("steps", "lines"),
+    [
+        ([into("one", "$mass"), into("one", "$mass")], [8]),
+        ([into("one", "$mass"), into("other", "$mass"), into("one", "$mass")], [9]),
+        ([into("one", "20 mg"), into("one", "$mass")], []),
+        ([into("one", "$mass").replace("$tolerance", "9 mg"), into("one", "$mass")], []),
+        (["optional: {" + into("one", "$mass") + "}", into("one", "$mass")], []),
+        (["fallback: [{" + into("one", "$mass") + "}, {" + into("one", "$mass") + "}]"], []),
+        (["repeat: {times: 2, child: {" + into("one", "$mass") + "}}"], [7]),
+        (["repeat: {times: 1, child: {" + into("one", "$mass") + "}}"], []),
+        (["repeat: {times: 2, child: {optional: {" + into("one", "$mass") + "}}}"], []),
+        (["repeat: {times: 2, child: {" + into("one", "min($gross, $mass)") + "}}", into("one", "$mass")], []),
+    ],
+)
+def test_a_dose_whose_mass_is_there_already_is_warned_of(
+    lab_folder: LabFolder, steps: list[str], lines: list[int]
+) -> None:
+    """Two powders in turns were dosed once each: of a lot a container has what its last dose says, in all."""
+    tree = "\n".join(f"    - {step}" for step in (PLACE, "tare: {as: gross}", *steps)).replace("$container", "$one")
+    inputs = f"{INPUTS.replace('container', 'one')}, other: Container"
+    lab_folder.write("trees/mine.yaml", f"workflow: mine\ninputs: {{{inputs}}}\ntree:\n  sequence:\n{tree}\n")
+    sample = f"{SAMPLE.replace('container:', 'one:')}, other: vial_11mm"
+    recipe = lab_folder.write("recipes/r.yaml", f"{RECIPE}  - {{{sample}}}\n")
+    problems = check(lab_folder.load(), recipe, fast=True).problems
+    assert [one.mark.line for one in problems if one.code == "lot-twice"] == lines
 
 
 def test_a_sample_that_asks_no_mass_is_dosed_as_its_workflow_says(desk: Desk, lab_folder: LabFolder) -> None:

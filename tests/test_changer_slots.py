@@ -167,7 +167,7 @@ def test_the_changer_is_filled_before_a_sample_as_the_plan_says_and_with_the_pan
 ) -> None:
     """It was filled with the last container on the pan, which kept its slot, and came again as an empty one."""
     lab_folder.replace("robot/cell.yaml", "slots: 24", f"slots: {slots}")
-    ran = dry_run(tmp_path, ALIQUOTS, lab=lab_folder.folder)
+    ran = dry_run(tmp_path, ALIQUOTS, lab=lab_folder.folder, seed=1)
     assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 4
     assert [one.job for one in ran.session.plan.persons] == [job for job, _ in visits]
     job, on_pan, answered_s, found = "", "", 0.0, list[tuple[str, str, str]]()
@@ -307,12 +307,12 @@ def test_the_inventory_counts_slots_anew_once_they_are_divided_otherwise(tmp_pat
 
 
 class Wishing(Watching):
-    """Stops the run in the middle of a job."""
+    """Stops the run while a container is changed."""
 
     def job_started(self, job: Job, number: int) -> None:
         assert self.session is not None
         if job.name == "c":
-            self.stop_at = self.ticks + 60
+            self.stop_at = self.ticks + 20
 
 
 @pytest.fixture

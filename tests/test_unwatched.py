@@ -309,6 +309,18 @@ def test_what_ends_a_run_that_hung_is_not_interrupted_in_its_turn() -> None:
         time.sleep(1.2 * supervisor.IMPATIENT_S)
 
 
+def test_what_computes_on_a_busy_computer_is_given_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan of four seconds took 22 beside eight other programs, and the skill that had asked for it was blamed."""
+    monkeypatch.setattr(supervisor, "HANGS_S", 1.0)
+    monkeypatch.setattr(supervisor.time, "clock_gettime", lambda clock: 0.25 * time.monotonic())
+    session = cast(Any, SimpleNamespace(liveness=Liveness()))
+    session.liveness.beat()
+    with supervisor.Supervisor(Control()).watching(session):
+        time.sleep(2.5)
+        with pytest.raises(Hung):
+            time.sleep(3.0)
+
+
 # --- a stream that nobody waits for
 
 

@@ -37,13 +37,15 @@ TARGET, TOLERANCE = "mass", "tolerance"
 
 @dataclass(frozen=True)
 class _Reached:
-    """What may hold at a place of the tree: the container and source named last, the last doses of each, how what is
-    in the cone was dealt with since it was scooped, and by which scoop, if it is one.
+    """What may hold at a place of the tree: the container and source named last, the last doses of each, those of them
+    that are there whichever way led here, how what is in the cone was dealt with since it was scooped, and by which
+    scoop, if it is one.
     """
 
     containers: frozenset[str | None]
     sources: frozenset[str | None]
     last: frozenset[Pour] = frozenset()
+    surely: frozenset[Pour] = frozenset()
     leaves: frozenset[Keeping | None] = frozenset({None})
     scoop: int | None = None
 
@@ -52,6 +54,7 @@ class _Reached:
             self.containers | other.containers,
             self.sources | other.sources,
             self.last | other.last,
+            self.surely & other.surely,
             self.leaves | other.leaves,
             self.scoop if self.scoop == other.scoop else None,
         )
@@ -92,6 +95,9 @@ class _Follower:
             if node.kind == "retry" and self._may_scoop(node.child):
                 return self._of_try(node.child, names, reached, at)
             after = self.of(node.child, names, reached, at)
+            if node.kind == "repeat" and self._known(node.arguments, names).get("times") != 1:
+                for pour in after.surely - reached.surely:
+                    self._warn_of_vain(pour, "from its second round on this dose")
             return reached | after if node.kind in ("optional", "invert") else after
         if isinstance(node, Choice):
             return self._of_choice(node, names, reached, at)
@@ -298,10 +304,19 @@ class _Follower:
             names.keep(node.result, {**target_range, ("dispensed",): dispensed_range})
         self.pours += sorted(pours, key=lambda pour: (pour.container or "", pour.source or ""))
         places = {pour.place for pour in pours}
-        is_certain = len(places) == 1 and not any(None in place for place in places)
-        return replace(
-            reached, last=pours | {pour for pour in reached.last if not (is_certain and pour.place in places)}
-        )
+        if len(places) > 1 or any(None in place for place in places):
+            return replace(reached, last=reached.last | pours)
+        for pour in pours:
+            if any(pour.adds_nothing_to(before) for before in reached.surely):
+                self._warn_of_vain(pour, "this dose")
+        last, surely = ({pour for pour in had if pour.place not in places} for had in (reached.last, reached.surely))
+        return replace(reached, last=pours | last, surely=pours | surely)
+
+    def _warn_of_vain(self, pour: Pour, which: str) -> None:
+        """Of a dose whose mass is in its container by then, as an earlier one of its lot."""
+        if pour.mass_mg is not None:
+            what = f"{which} gives nothing: so much of its lot is in its container by then, which counts"
+            self._problems.warn(pour.mass_mark, what, "write what is to be there in all", code="lot-twice")
 
     def _kept_by(self, node: Call, given: Mapping[str, Any]) -> frozenset[Keeping | None]:
         """What a skill that empties the cone may be told of keeping; any, where only the run can tell."""

@@ -36,6 +36,14 @@ class Pour:
         """As in a run, the last dose of a lot into a container counts for both."""
         return self.container, self.lot
 
+    def adds_nothing_to(self, before: "Pour") -> bool:
+        """Whether an earlier one of its place has brought as much already, as exactly."""
+        if self.place != before.place or self.mass_mg is None or before.mass_mg is None:
+            return False
+        tolerance_mg, before_mg = self.tolerance_mg, before.tolerance_mg
+        is_finer = tolerance_mg is not None and before_mg is not None and tolerance_mg < before_mg
+        return self.mass_mg <= before.mass_mg and not is_finer
+
     @property
     def accepted_mg(self) -> float:
         """The most that it may end with in tolerance, as far as it has a bound: there must be room for that."""
