@@ -1,6 +1,7 @@
 """Loads in a cell that nobody drew, judged by an audit that shares nothing with the planner."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,9 @@ from harness import mesh_bodies
 from harness.motion_audit import Audit
 from harness.motion_layouts import CONTAINER, LAB, LIMITS_DEG, Bench, carries, drawn
 from scuhand_bt.bench_spec import Obstacle
+from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.motion import Mount, apex
+from scuhand_bt.motion import ApexPose, Mount, apex
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 from scuhand_bt.motion.trajectory import JointTrajectory
 
@@ -49,6 +51,28 @@ def test_a_load_between_places_is_not_bound_to_the_way_of_one_that_may_not_lean(
     planner = drawn(9711).planner()
     leaning_s, level_s = (carried(planner, a, "mortar_bay_2", "balance").duration_s for a in (31.8, 10.0))
     assert leaning_s < 0.7 * level_s
+
+
+def test_a_load_that_was_left_leaning_on_its_way_is_carried_on():
+    # A program that is killed leaves the arm where it is: 33 degrees are within this limit, and above the rung of 30.
+    limit_deg, mortars = 33.7, {"mortar_bay": LAB.library.mortars["agate_mortar"]}
+    holder, source = (
+        LAB.library.containers["xrd_holder"],
+        SimpleNamespace(station="mortar_bay", mortar=mortars["mortar_bay"]),
+    )
+    planner = LAB.motion_planner(mortars)
+    for name, position_mm in all_places(LAB.cell, {"beads": source}, [holder]).items():
+        planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+    planner.set_geometry(container=holder)
+    over, _ = over_balance(LAB.cell, holder)
+    way = carried(planner, limit_deg, "mortar_bay", over)
+    left = [way.sample(at_s) for at_s in np.linspace(0.0, way.duration_s, 60)]
+    leaning = max(left, key=lambda q: apex(q, planner.mount()).tilt_deg)
+    assert apex(leaning, planner.mount()).tilt_deg > 33.0
+    verdict = Audit(LAB.urdf, LAB.cell, mortars, holder).of(planner.move(leaning, over, spill_limit_deg=limit_deg))
+    assert verdict.clearance_m > 0.003
+    assert verdict.spill_deg <= limit_deg
+    assert verdict.over_limit < 2e-6
 
 
 def test_a_load_on_the_way_is_as_quick_as_the_empty_cone_where_it_may_lean_and_never_quicker():

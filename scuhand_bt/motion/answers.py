@@ -49,6 +49,11 @@ PLANS_KEPT = 256
 Found = TypeVar("Found", bound=JointTrajectory)
 
 
+def _rungs_up_to(limit_deg: float) -> list[float]:
+    """The rungs of a load's own limit, the loosest first."""
+    return [rung_deg for rung_deg in reversed(RUNGS) if rung_deg <= max(limit_deg, STRICTEST_DEG)]
+
+
 @dataclass(frozen=True, slots=True)
 class Way:
     """What is asked for, but for a load: `name` is what its goal is called."""
@@ -114,7 +119,7 @@ class Answers:
         # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
         # the last of them is within SURE of the floors of the rest, which grow with strictness: so a looser limit is
         # never slower by more.
-        rungs_deg = [rung_deg for rung_deg in reversed(RUNGS) if rung_deg <= max(spill_limit_deg, STRICTEST_DEG)]
+        rungs_deg = _rungs_up_to(spill_limit_deg)
         empty, mount = self._emptied(way), self._mount_of(way.geometry)
         bound_s = float(rest_to_rest_s(way.goals - way.begin, self._pace.rates).min())
         best = self._pace.timed(empty, mount, spill_limit_deg)
@@ -126,12 +131,17 @@ class Answers:
             motion = self._pace.timed(self._kept(way, rung_deg), mount, spill_limit_deg)
             if motion is not None and (best is None or max(floor_s, motion.duration_s) < best.duration_s):
                 best = begun_later(motion, floor_s - motion.duration_s)
+        if best is None and spill_limit_deg > rungs_deg[0]:
+            # What lost its program or its power on its way may lean more than the rungs let it, and within its limit.
+            best = self._pace.timed(self._kept(way, spill_limit_deg), mount, spill_limit_deg)
         return self._found(best, way).keeping(spill_limit_deg)
 
-    def _floor_s(self, empty: JointTrajectory | None, rung_deg: float) -> float:
-        """What no motion of a rung takes less than; 0 where there is no empty cone's to measure it by."""
+    def _floor_s(self, empty: JointTrajectory | None, limit_deg: float) -> float:
+        """What no motion of a rung, or of a limit above it, takes less than; 0 where there is no empty cone's to
+        measure it by.
+        """
         quickest = self._pace.quick(empty)
-        return 0.0 if quickest is None else RUNGS[rung_deg] * quickest.duration_s
+        return 0.0 if quickest is None else RUNGS[_rungs_up_to(limit_deg)[0]] * quickest.duration_s
 
     def _emptied(self, way: Way) -> StoppableTrajectory | None:
         """The empty cone's motion that a load's is measured by: looked for longer than for its own sake."""
