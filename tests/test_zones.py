@@ -258,6 +258,31 @@ def test_while_a_container_changes_the_arm_may_move_and_the_motor_does_not_begin
     assert list(bench.way.go(shaking=True)) == []
 
 
+@pytest.mark.parametrize("answer", ["done", "stop"])
+def test_where_an_exchange_by_hand_was_halted_nothing_moves_before_a_person_says_so(bench: Bench, answer: str) -> None:
+    """With a `timeout` about it, or a failure beside it, the arm moved at once, and there might have been a hand."""
+    asked: list[str] = []
+
+    def ask(question: str, choices: Any = ()) -> Steps[str]:
+        asked.append(question)
+        yield from bench.later(20.0, lambda: None)
+        return answer
+
+    bench.cell.operator = SimpleNamespace(ask=ask)  # type: ignore[assignment]
+    by_hand = bench.way.undisturbed(bench.later(60.0, lambda: None))
+    next(by_hand)
+    by_hand.close()
+    if answer == "stop":
+        with pytest.raises(SkillFailed, match=r"operator\.refused"):
+            bench.do(bench.cell.move_to("waste"))
+        assert not any(moves for _, moves, _ in bench.seen)
+        return
+    bench.do(bench.cell.move_to("waste"))
+    bench.do(bench.cell.move_to("park"))
+    assert min(now_s for now_s, moves, _ in bench.seen if moves) >= 20.0
+    assert len(asked) == 1
+
+
 def test_a_cone_is_not_shaken_until_the_next_container_is_weighed(starter: Lab, bench: Bench) -> None:
     shake = starter.library.skills["shake"](duration_s=1.0)
     changing, shaking = bench.way.unshaken(bench.later(5.0, lambda: None)), shake.run(bench.cell)

@@ -28,6 +28,7 @@ STILL_TIMEOUT_S = 120.0
 """How long a weighing waits for arm and hand to stand still: no motion of theirs takes a tenth of that."""
 SETTLES_S = 8.0
 """So long a pan may come to rest while the arm goes on: a balance that the arm keeps from it is not waited for."""
+REACHES_IN = "An exchange by hand was broken off, and the arm is about to move. Is nobody reaching into the cell?"
 LOOK_S = 0.1
 """So often it is looked whether what moves has come to rest."""
 
@@ -54,6 +55,8 @@ class RightOfWay:
         self._crossed: frozenset[str] = frozenset()
         self._hushes = self._watches = self._ahead = 0
         self._is_as_if_open = False
+        self._may_reach_in = False
+        """Nobody has said that the person has left who was asked to do something in the cell."""
 
     # --- zones
 
@@ -150,15 +153,33 @@ class RightOfWay:
         return result
 
     def go(self, *, shaking: bool = False) -> Steps[None]:
-        """Wait until a motion may begin, or one with which the motor shakes."""
+        """Wait until a motion may begin, or one with which the motor shakes.
+
+        SkillFailed operator.refused, operator.absent where a person may still be reaching into the cell.
+        """
         while self._hushes or (shaking and self._watches):
             yield Wake.on(self.news)
+        if not self._may_reach_in:
+            return
+        with self._hushed():
+            answer = yield from self._cell.operator.ask(REACHES_IN)
+        if answer != "done":
+            raise SkillFailed(Code.OPERATOR_REFUSED, REACHES_IN)
+        self._may_reach_in = False
 
     def undisturbed(self, steps: Steps[T]) -> Steps[T]:
-        """Carry out steps while arm and hand stand still."""
+        """Carry out what a person does in the cell while arm and hand stand still.
+
+        Where it is halted the person may be at it still: nothing moves then before somebody has said otherwise.
+        """
         with self._hushed():
             yield from self._stillness()
-            result = yield from steps
+            try:
+                result = yield from steps
+            except GeneratorExit:
+                self._may_reach_in = True
+                raise
+        self._may_reach_in = False
         return result
 
     def stable_mean(self, timeout_s: float = 0.0) -> Steps[StableMean]:
