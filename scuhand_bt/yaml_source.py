@@ -118,7 +118,7 @@ def read_text(path: Path, what: str, asked_at: Mark | None = None) -> str:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise refuse(f"no such file; wanted {what}") from None
+        raise refuse(f"does not exist; wanted {what}") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if len(raw) > MAX_BYTES:

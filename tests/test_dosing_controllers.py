@@ -13,7 +13,7 @@ from scuhand_bt.cell.dose_loop import run_dose
 from scuhand_bt.clock import Wake
 from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
-from scuhand_bt.dosing import CONTROLLERS, Finish, Observation, Pulse, Stream, Weigh, new_controller
+from scuhand_bt.dosing import CONTROLLERS, Command, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
 from scuhand_bt.dosing.identification import STEP_DOUBT
 from scuhand_bt.dosing.pulses import within
@@ -273,14 +273,20 @@ def test_a_load_that_flows_is_dosed_from_to_the_end(seed: int) -> None:
     assert dosed.run.finish.reason == "reached"
 
 
-def pulses_of(gained_mg: Sequence[float], **changes: object) -> list[Pulse]:
+def commands_of(gained_mg: Sequence[float], **changes: object) -> list[Command]:
     """What `adaptive` commands a hand that takes steps only, of whose pulses each has brought so much."""
     controller = new_controller("adaptive", dose_request(streaming=False, **changes))
     told, net_mg = [controller.decide(None)], 0.0
     for number, each_mg in enumerate((0.0, *gained_mg)):
+        if isinstance(told[-1], Finish):
+            break
         net_mg += each_mg
         told.append(controller.decide(Observation(3.0 * number, net_mg, 0.05, True)))
-    return [command for command in told if isinstance(command, Pulse)]
+    return told
+
+
+def pulses_of(gained_mg: Sequence[float], **changes: object) -> list[Pulse]:
+    return [command for command in commands_of(gained_mg, **changes) if isinstance(command, Pulse)]
 
 
 def test_the_first_pulse_is_as_small_whatever_the_target() -> None:
@@ -295,6 +301,37 @@ def test_the_first_pulse_is_as_small_whatever_the_target() -> None:
 def test_what_a_pulse_does_not_bring_is_shaken_for_later_near_the_target(target_mg: float, levels: list[float]) -> None:
     told = pulses_of([0.0] * (len(levels) - 1), target_mg=target_mg)
     assert [pulse.vibration for pulse in told] == levels
+
+
+@pytest.mark.parametrize(("cone_mg", "reason"), [(5000.0, "no_flow"), (500.0, "empty")])
+def test_pulses_that_bring_nothing_are_made_larger_and_given_up_in_the_end(cone_mg: float, reason: str) -> None:
+    *told, end = commands_of([0.0] * 30, cone_mg=cone_mg)
+    pulses = [one.opening_mm**2.5 * (one.dwell_s + 0.1) for one in told if isinstance(one, Pulse)]
+    assert isinstance(end, Finish)
+    assert (end.reason, len(pulses)) == (reason, 21)
+    assert pulses[5] == pulses[8] < pulses[9] < pulses[12]
+
+
+def test_a_pulse_is_weighed_once_a_slow_balance_has_shown_it() -> None:
+    assert [pulses_of([], balance=slow)[0].wait_s for slow in (STEPPED, STEPPED.model_copy(update={"lag_s": 2.0}))] == [
+        pytest.approx(1.5),
+        pytest.approx(10.0),
+    ]
+
+
+def test_of_a_powder_that_hardly_flows_no_pulse_is_longer_than_three_seconds() -> None:
+    (pulse,) = pulses_of([], powder=PowderBelief(coefficient=0.1, doses=3), max_opening_mm=1.0)
+    assert (pulse.opening_mm, pulse.dwell_s) == (1.0, 3.0)
+
+
+def test_what_pulses_have_brought_is_learnt_of_the_powder() -> None:
+    found = []
+    for each_mg in (4.0, 16.0):
+        end = commands_of([each_mg] * 30, target_mg=80.0, powder=PowderBelief(doses=3))[-1]
+        assert isinstance(end, Finish)
+        assert end.powder is not None
+        found.append(end.powder.coefficient)
+    assert found[1] > 2.0 * found[0]
 
 
 def test_a_pulse_that_is_shaken_is_smaller() -> None:

@@ -154,7 +154,7 @@ def test_a_missing_or_empty_file_is_one_line(lab_folder: LabFolder) -> None:
     (lab_folder.folder / "robot" / "powders.yaml").unlink()
     lab_folder.write("trees/empty.yaml", "")
     assert lab_folder.problems() == [
-        "robot/powders.yaml:1:1: no such file; wanted the lab's powders.yaml",
+        "robot/powders.yaml:1:1: does not exist; wanted the lab's powders.yaml",
         "trees/empty.yaml:1:1: is empty; wanted a workflow",
     ]
 

@@ -279,6 +279,16 @@ def test_a_last_sample_that_stops_the_run_is_not_done(desk: Desk) -> None:
         assert [fate.why for fate in fates(plan, odds, NIGHT)] == [None, why], "no job of the plan's follows it"
 
 
+def test_fewer_dry_runs_than_show_what_stops_one_of_twenty_are_said_to_be_so(desk: Desk) -> None:
+    plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
+    rare = "What stops one run of 20 may not have come in 4 dry runs: more `--trials` tell."
+    for many in (4, 20):
+        odds = odds_of(plan, [trial_of(plan, 60.0)] * many)
+        (said,) = in_words(plan, desk.lab, odds, NIGHT, lambda made: tried(made, 60.0))
+        assert "4 of 4 samples" in said
+        assert said.endswith(rare) == (many == 4)
+
+
 def test_what_a_dry_run_asks_a_person_nobody_answers_at_night(desk: Desk) -> None:
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
     whole = trial_of(plan, 60.0)

@@ -614,6 +614,15 @@ def test_plain_lines_tell_a_bad_sample_again_only_when_there_is_something_else_t
     assert [line.split(" mg")[0] for line in lines[1:]] == ["[1/1] a: 90.1"]
 
 
+def test_plain_lines_tell_that_a_sample_which_was_not_surely_in_tolerance_is() -> None:
+    """The bare pan is surer than the dose was, and without it the log ended with a sample that was good as `under`."""
+    lines: list[str] = []
+    observer, unsure = PlainLines(lines.append, 1), result(dose(48.5, uncertainty_mg=0.4))
+    observer.sample_ended(unsure)
+    observer.sample_ended(confirmed(unsure, gone(glass_beads=48.5)))
+    assert [line.rpartition(": ")[2] for line in lines] == ["under, not surely", "in tolerance"]
+
+
 def test_plain_lines_tell_the_good_end_of_a_sample_that_was_done_again() -> None:
     """Whose container has gone within its own job, so that it is known to be good at once."""
     lines: list[str] = []
@@ -632,9 +641,9 @@ def test_a_sample_of_several_doses_is_told_with_each_of_them() -> None:
         PlainLines(lines.append, 1).sample_ended(had)
     assert lines == [
         "[1/1] a: glass_beads 50.4 mg of 50.0 mg (+0.4 mg), in tolerance; monosodium_glutamate 45.0 mg of 40.0 mg "
-        "(+5.0 mg), over in 3 pulses, 1 min 00 s: over",
+        "(+5.0 mg), over; in 3 pulses, 1 min 00 s: over",
         "[1/1] a: a/first: glass_beads 50.4 mg of 50.0 mg (+0.4 mg), in tolerance; a/second: glass_beads 47.0 mg of "
-        "50.0 mg (-3.0 mg), under in 3 pulses, 1 min 00 s: under",
+        "50.0 mg (-3.0 mg), under; in 3 pulses, 1 min 00 s: under",
     ]
 
 

@@ -4,7 +4,9 @@ import base64
 import gzip
 import re
 import time
+import tracemalloc
 import warnings
+from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -19,11 +21,13 @@ from test_resume import Run, Watch
 from scuhand_bt.events.cell import Returned, Scooped
 from scuhand_bt.events.weighings import DoseBegun
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, ArmMoves, Asked, JobEnded, JobStarted
-from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.reader import Contents, open_contents
 from scuhand_bt.journal.run_events import Continued, Ended, Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import starter_lab
 from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.report.audit import deeds_of_run
+from scuhand_bt.report.dose_curves import curves_of_doses
 from scuhand_bt.report.powder_balance import powder_balance
 from scuhand_bt.report.run_report import comparison, page_of_run
 from scuhand_bt.report.time_spent import TimeSpent, time_spent
@@ -370,3 +374,21 @@ def test_the_report_of_a_night_is_small_and_quick(tmp_path: Path) -> None:
     of_24 = 24 / len(ran.result.samples)
     assert len(text.encode()) * of_24 < 5e6
     assert (time.process_time() - began_s) * of_24 < 5.0
+
+
+@pytest.mark.parametrize(
+    "told", [lambda of: list(deeds_of_run(of)), powder_balance, time_spent, lambda of: list(curves_of_doses(of))]
+)
+def test_what_is_told_of_a_long_run_is_read_entry_by_entry(tmp_path: Path, told: Callable[[Contents], object]) -> None:
+    """`audit` had all entries in memory at once: of 5000 samples 1.4 GB."""
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    journal.event(RunBegun.model_validate(HEADER))
+    for _ in range(100):
+        journal.event(Asked(question=100_000 * "?", choices=["done"]))
+    journal.close()
+    with open_contents(journal.path) as contents:
+        tracemalloc.start()
+        told(contents)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert peak < 2e6, "of 10 MB"

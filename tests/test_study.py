@@ -7,11 +7,13 @@ import os
 import pickle
 import re
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -201,6 +203,19 @@ def test_what_a_process_has_read_of_physics_before_their_file_was_changed_is_not
     with pytest.raises(SourceError, match="physics_of_today:Mine: its file, or one that it imports, has changed"):
         trial(after, 0)
     assert trial(before, 0) == came, "what began with them goes on"
+
+
+def test_a_database_of_something_else_is_refused_and_stays_as_it_is(setup: Setup, tmp_path: Path) -> None:
+    """A run's journal had the trials in it then."""
+    path = tmp_path / "run.sqlite"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE entry (seq INTEGER PRIMARY KEY)")
+        database.commit()
+    before = path.read_bytes()
+    refused = pytest.raises(SourceError, match="cannot be kept there: it is a database of something else")
+    with refused, open_store(path, setup):
+        pass
+    assert path.read_bytes() == before
 
 
 def test_a_file_that_is_no_store_is_refused(setup: Setup, tmp_path: Path) -> None:

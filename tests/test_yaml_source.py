@@ -107,7 +107,7 @@ def test_files_that_are_no_yaml_files_get_one_line(tmp_path: Path) -> None:
     assert all(len(problems) == 1 for problems in said.values()), said
     assert said["latin"] == ["2:4: is not UTF-8 text; save it as UTF-8 (Excel: 'CSV UTF-8')"]
     assert "directory" in said["folder"][0]
-    assert "no such file" in said["missing"][0]
+    assert "does not exist" in said["missing"][0]
 
 
 def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:

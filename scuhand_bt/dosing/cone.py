@@ -50,11 +50,6 @@ class Cone:
         return math.degrees(math.asin(self.diameter_mm / (2.0 * self.sheet_radius_mm)))
 
     @property
-    def wall_deg(self) -> float:
-        """The wall's slope above the horizontal, axis vertical."""
-        return 90.0 - self.half_angle_deg
-
-    @property
     def depth_mm(self) -> float:
         """Rim to apex."""
         return math.sqrt(self.sheet_radius_mm**2 - (self.diameter_mm / 2.0) ** 2)

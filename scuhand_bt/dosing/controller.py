@@ -91,7 +91,7 @@ Command = Pulse | Stream | Weigh | Finish
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What is known after a command: `net_mg` is gross now less gross before the dose's first scoop."""
+    """What is known after a command: `net_mg` is what the container has got of this lot, earlier doses included."""
 
     time_s: float
     net_mg: float

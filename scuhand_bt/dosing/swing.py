@@ -49,11 +49,6 @@ class StrokePath:
     """(n,): where the lip follows the wall."""
 
     @property
-    def most_tilt_deg(self) -> float:
-        """The most that the axis is tilted from upright."""
-        return math.degrees(math.acos(float(self.axis[:, 2].min())))
-
-    @property
     def rests(self) -> NDArray[np.bool_]:
         """(n,): where it is to come to rest: at its ends, and where the lip comes to the wall and where it leaves."""
         changes = np.flatnonzero(np.diff(self.on_wall))

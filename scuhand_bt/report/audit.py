@@ -31,7 +31,7 @@ class Deed:
 def deeds_of_run(contents: Contents) -> Iterator[Deed]:
     """What persons did in a run, and what of it they should know, in order."""
     operator = UNKNOWN
-    for row in contents.rows("entry"):
+    for row in contents.each("entry"):
         event = parsed(row["kind"], row["payload"])
         if isinstance(event, RunBegun | Resumed):
             operator = _name(event.operator, event.signed)

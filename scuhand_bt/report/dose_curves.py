@@ -27,7 +27,7 @@ def curves_of_doses(contents: Contents) -> Iterator[CurveOfDose]:
     of_actions: dict[int, list[Point]] = {}
     of_jobs: dict[int, list[Point]] = {}
     job_of = {row["id"]: row["job"] for row in contents.rows("action")}
-    entries = [row for row in contents.rows("entry") if row["kind"] in (Dose.KIND, DoseCurve.KIND)]
+    entries = [row for row in contents.each("entry") if row["kind"] in (Dose.KIND, DoseCurve.KIND)]
     for row in entries:
         if row["kind"] == DoseCurve.KIND:
             points = DoseCurve.model_validate(row["payload"]).points

@@ -64,8 +64,10 @@ class PlainLines(BatchObserver):
         words, before = in_words(result), self._ended.get(result.id)
         if result.verdict == "not run":
             return
-        if before is not None and before.attempt == result.attempt and (result.is_good or words == in_words(before)):
-            return
+        if before is not None and before.attempt == result.attempt:
+            is_as_good = before.is_good and result.is_good
+            if is_as_good or words == in_words(before):
+                return
         self._ended[result.id] = result
         of = f"/{self._total}" if self._total is not None else ""
         self._write(f"[{len(self._ended)}{of}] {result.id}: {words}")

@@ -178,7 +178,7 @@ def in_words(result: SampleResult) -> str:
         said = _dispensed(result.dispensed_mg, result.target_mg, result.error_mg)
     else:
         doses = ((dose, _dispensed(dose.dispensed_mg, dose.target_mg, dose.error_mg)) for dose in result.doses)
-        said = "; ".join(f"{dose_name(dose, result)} {masses}, {said_of(dose)}" for dose, masses in doses)
+        said = "; ".join(f"{dose_name(dose, result)} {masses}, {said_of(dose)}" for dose, masses in doses) + ";"
     pulses = counted(result.pulses, "pulse")
     line = f"{said} in {pulses}, {format_duration(result.duration_s)}: {said_of(result)}"
     return line + why

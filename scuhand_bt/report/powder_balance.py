@@ -63,7 +63,7 @@ def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
     """The source that was dosed from, by container and lot."""
     closed: dict[tuple[str, str], LotDosed] = {}
     sheet = 1
-    for row in contents.rows("entry"):
+    for row in contents.each("entry"):
         match event := parsed(row["kind"], row["payload"]):
             case RunBegun():
                 found = {name: SourceBalance(name, one.powder, one.lot) for name, one in event.sources.items()}

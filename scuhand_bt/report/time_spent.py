@@ -88,7 +88,7 @@ class TimeSpent:
 
 def time_spent(contents: Contents) -> TimeSpent:
     """What each job of a run, and all of it, was spent on. A job or action without an end lasts to the last entry."""
-    last_s = max((row["time_s"] for row in contents.rows("entry")), default=0.0)
+    last_s = max((row["time_s"] for row in contents.each("entry")), default=0.0)
     spans = sorted(_spans(contents, last_s), key=lambda span: span.began_s)
     jobs = []
     next_span = 0
@@ -109,19 +109,19 @@ def time_spent(contents: Contents) -> TimeSpent:
 
 def _spans(contents: Contents, last_s: float) -> Iterator[Span]:
     was: dict[int, Activity] = {}
-    for row in contents.rows("event"):
+    for row in contents.each("event"):
         if (activity := _OF_KINDS.get(row["kind"])) is not None and row["action"] is not None:
             was[row["action"]] = max(activity, was.get(row["action"], activity), key=ACTIVITIES.index)
         elif row["kind"] == ArmMoves.KIND:
             move = ArmMoves.model_validate(row["payload"])
             yield Span(row["time_s"], row["time_s"] + move.duration_s, "moving")
-    for row in contents.rows("action"):
+    for row in contents.each("action"):
         ended_s = last_s if row["ended_s"] is None else row["ended_s"]
         yield Span(row["started_s"], ended_s, was.get(row["id"], "other"))
     asked_s: float | None = None
     paused_s: float | None = None
     courses: dict[int | None, list[Sequence[float]]] = {}
-    for row in contents.rows("event"):
+    for row in contents.each("event"):
         kind, now_s = row["kind"], row["time_s"]
         if kind == DoseCurve.KIND:
             courses.setdefault(row["action"], []).extend(row["payload"]["points"])

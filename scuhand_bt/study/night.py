@@ -12,6 +12,9 @@ from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.study.odds import Odds
 
+ONE_OF = 20
+"""A sample counts as done where all but one of so many runs would have done it."""
+
 
 @dataclass(frozen=True)
 class Night:
@@ -76,10 +79,10 @@ def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
         stopped, asked = odds.trials - odds.ended[job.name], odds.ended[job.name] - odds.alone[job.name]
         if waits is not None:
             yield Fate(job.name, None, waits)
-        elif 20 * stopped > odds.trials:  # counted is what 19 of 20 have done by then
+        elif ONE_OF * stopped > odds.trials:
             of = "every dry run has" if stopped == odds.trials else f"{stopped} of {odds.trials} dry runs have"
             yield Fate(job.name, None, f"{of} stopped before its end")
-        elif 20 * (stopped + asked) > odds.trials:
+        elif ONE_OF * (stopped + asked) > odds.trials:
             of = "every dry run" if asked == odds.trials else f"{asked} of {odds.trials} dry runs"
             yield Fate(job.name, None, f"in {of} a person was asked for something before its end")
         else:
@@ -113,7 +116,10 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Pl
     fit = [fate for fate in found if fate.why is None]
     hours = f"from {night.clock(0.0)} to {night.clock(night.lasts_s)} ({format_duration(night.lasts_s)})"
     last = f", the last by {night.clock(fit[-1].done_s or 0.0)}" if fit else ""
-    yield f"In a night {hours} with nobody there: {len(fit)} of {len(found)} samples{last}."
+    rare = ""
+    if fit and odds.trials < ONE_OF:
+        rare = f" What stops one run of {ONE_OF} may not have come in {odds.trials} dry runs: more `--trials` tell."
+    yield f"In a night {hours} with nobody there: {len(fit)} of {len(found)} samples{last}.{rare}"
     reasons: dict[str, list[str]] = {}
     for fate in found:
         if fate.why is not None:

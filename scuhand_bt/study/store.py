@@ -15,6 +15,8 @@ from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
 
+_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table'"
+
 
 class Store:
     """Trials in one SQLite file."""
@@ -57,11 +59,13 @@ def open_store(path: Path, setup: Setup) -> Iterator[Store]:
         raise _unusable(path, error) from None
     try:
         with closing(sqlite3.connect(path)) as database:
+            if {name for (name,) in database.execute(_TABLES)} - {"trial"}:
+                raise _unusable(path, "it is a database of something else")
             database.execute(_SCHEMA)
             yield Store(database, setup)
     except sqlite3.Error as error:
         raise _unusable(path, error) from None
 
 
-def _unusable(path: Path, why: Exception) -> SourceError:
+def _unusable(path: Path, why: Exception | str) -> SourceError:
     return SourceError([Problem(Mark(str(path)), f"the study cannot be kept there: {why}")])
