@@ -61,7 +61,7 @@ def test_a_case_that_comes_to_something_else_fails_and_says_what(
     assert said in text
     assert "  FAILED  one (" in text
     assert "trees/mine.test.yaml:6:5: " in text
-    assert "1 tests, 1 failed." in text
+    assert "1 test, 1 failed." in text
 
 
 def test_what_is_expected_and_comes_passes(command: Call, lab_folder: LabFolder) -> None:

@@ -35,6 +35,16 @@ def test_check_warns_once_of_a_tolerance_that_lumps_hardly_meet(lab_folder: LabF
     assert len(told) == 1
     assert "lumpy.yaml:7:29" in told[0]
     assert (
-        "about 82% of such samples can be in tolerance (± 3 mg): titanium_dioxide comes in lumps of some 3.5 mg"
+        "about 80% of such samples can be in tolerance (± 3 mg): titanium_dioxide comes in lumps of some 3.5 mg"
         in told[0]
     )
+
+
+@pytest.mark.parametrize(("tolerance_mg", "warned"), [(0.6, True), (1.0, False)])
+def test_check_warns_of_what_lumps_and_the_guard_band_leave_together(
+    lab_folder: LabFolder, command: Call, tolerance_mg: float, warned: bool
+) -> None:
+    """Lumps of 0.5 mg alone leave nine in ten within 0.6 mg; of a study's doses three in four were told so."""
+    recipe = RECIPE.replace("titanium_dioxide", "monosodium_glutamate").replace("3 mg", f"{tolerance_mg} mg")
+    said = command("check", lab_folder.write("recipes/fine.yaml", recipe), "--fast")
+    assert ("comes in lumps of some 0.5 mg" in said.stdout) == warned

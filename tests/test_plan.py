@@ -166,7 +166,7 @@ def test_a_plan_is_warned_of_what_check_warns_of_its_samples(lab_folder: LabFold
     recipe = """recipe: lumps
 workflow: scoop_and_dispense
 sources: {{m: {{station: mortar_bay, container: agate_mortar, powder: titanium_dioxide, amount: 5 g}}}}
-samples: [{{id: a, source: m, container: xrd_holder, mass: 60 mg, tolerance: 3.97 mg}}]{meant}
+samples: [{{id: a, source: m, container: xrd_holder, mass: 60 mg, tolerance: 4.13 mg}}]{meant}
 """
     path = lab_folder.write("recipes/lumps.yaml", recipe.format(meant=""))
     (checked,) = json.loads(command("check", path, "--fast", "--json").stdout)["problems"]

@@ -104,6 +104,27 @@ def test_a_fallback_in_which_all_fail_gives_the_last_failure(bench: Bench) -> No
     assert outcome.failure.code == "source.empty"
 
 
+class FailsAnew(Skill[None]):
+    """Fails with one code the first time, and with another one from then on."""
+
+    def run(self, cell: Any) -> Steps[None]:
+        code = "arm.no_path" if any(what == "anew" for _, what in cell.log) else "hand.cone_empty"
+        cell.note("anew")
+        yield from ()
+        raise SkillFailed(code, "as it was told")
+
+
+def test_a_fallback_that_begins_again_fails_by_what_came_of_it_this_time(bench: Bench) -> None:
+    """What the second child had failed with the time before is not why."""
+    tree = (
+        "retry: {attempts: 2, child: {fallback: {on: [hand.cone_empty], "
+        "children: [{fails_anew: }, {fail: {code: source.empty}}]}}}"
+    )
+    outcome = bench.run(tree, {**SKILLS, "fails_anew": FailsAnew})
+    assert outcome.failure is not None
+    assert outcome.failure.code == "arm.no_path"
+
+
 # --- parallel
 
 

@@ -9,6 +9,7 @@ from rich.text import Text
 
 from scuhand_bt.cli.shared import LabOption, app, out
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.quantity import counted
 
 
 @app.command("test")
@@ -47,6 +48,6 @@ def run_tests(
         for path in missed:
             out.print(Text(f"    never: {path}"), soft_wrap=True)
     count = sum(len(file.cases) for file in files)
-    out.print(f"{count} tests, {failed} failed.")
+    out.print(f"{counted(count, 'test')}, {failed} failed.")
     if failed or not count:
         raise typer.Exit(ExitCode.FLAGGED)

@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scuhand_bt.dosing.verdict import LIKELY, chance_with_lumps
+from scuhand_bt.dosing.verdict import LIKELY, acceptance_mg, chance_with_lumps
 from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, state_folder, without_driver
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
@@ -202,19 +202,20 @@ def _check_slots(recipe: Recipe, lab: Lab, problems: Problems) -> None:
 
 
 def _check_doubts(recipe: Recipe, lab: Lab, problems: Problems) -> None:
-    _check_odds(recipe, problems)
+    _check_odds(recipe, lab, problems)
     _check_telling(recipe, lab, problems)
 
 
-def _check_odds(recipe: Recipe, problems: Problems) -> None:
-    """Warn of samples whose powder comes in lumps too large for their tolerance; of those alike, once."""
-    told = set[tuple[str, float]]()
+def _check_odds(recipe: Recipe, lab: Lab, problems: Problems) -> None:
+    """Warn of samples whose powder comes in lumps too large for what their tolerance accepts; of those alike, once."""
+    told, u_mg = set[tuple[str, float]](), lab.cell.balance.told_uncertainty_mg
     for sample in recipe.samples:
         for powder, tolerance_mg in sample.powder_tolerances:
             if (powder.name, tolerance_mg) in told:
                 continue
             told.add((powder.name, tolerance_mg))
-            if (chance := chance_with_lumps(tolerance_mg, powder.lump_mg)) < LIKELY:
+            accepted_mg = max(0.0, acceptance_mg(tolerance_mg, u_mg))
+            if (chance := chance_with_lumps(accepted_mg, powder.lump_mg)) < LIKELY:
                 lumps = f"{powder.name} comes in lumps of some {powder.lump_mg:g} mg"
                 share = format_below(chance, LIKELY)
                 what = f"about {share} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
