@@ -232,6 +232,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "Beside the arm something moves in a zone, and the cell does not say where that is.",
             "Describe it under `zones` of robot/cell.yaml, or use `sequence`.",
         ),
+        "no-zone": Finding(
+            "Beside the arm a skill commands the changer, and leases no zone: nothing keeps the arm out of its way.",
+            "Lease it, as `zones` of the skill, or use `sequence`.",
+        ),
         "no-condition": Finding("A guard that is no condition.", "Take a condition, such as `cone_holds`."),
         "bad-count": Finding("A count or a duration of zero or less.", "More than 0."),
         "unused-input": _warning("Nothing reads an input.", "Wire it, or leave it out."),

@@ -12,7 +12,6 @@ from dose_bench import DISH, MORTAR, shipped_powders
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_cleared import SCOOP_DOUBT, possible_mg, take_container_away
-from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.cell.right_of_way import RightOfWay
 from scuhand_bt.cell.weighing import weigh_changed, weigh_until_still, weighing_of
 from scuhand_bt.clock import Steps, T, Wake
@@ -52,6 +51,7 @@ class Shown:
                 arm=SimpleNamespace(was_limp=False),
                 device=lambda name: SimpleNamespace(is_stopped=True),
                 aside_of_pan_mm=lambda: math.inf,
+                may_meet_a_container=False,
                 believed=self.believed,
                 record=Record(self.events.append),
                 readings=deque(),
@@ -258,7 +258,7 @@ def test_what_leaves_no_source_known_brings_nothing() -> None:
 class Resumed(Shown):
     """The same cell when its run is resumed: the arm over the pan, 50 mg in the dish, a changer, and a person."""
 
-    def __init__(self, *gross_mg: float, aside_mm: float = 0.0, answer: str = "another") -> None:
+    def __init__(self, *gross_mg: float, is_aside: bool = False, answer: str = "another") -> None:
         super().__init__(*gross_mg)
         a_dosed_container(self)
         self.asked: list[tuple[str, list[str]]] = []
@@ -266,7 +266,7 @@ class Resumed(Shown):
         cell = cast(Any, self.cell)
         cell.spec.station_of_kind = lambda kind: SimpleNamespace(name=kind)
         cell.hand, cell.operator = SimpleNamespace(knows_its_roller=True), self
-        cell.aside_of_pan_mm, cell.move_to = lambda: aside_mm, lambda place: self._do(f"at {place}")
+        cell.may_meet_a_container, cell.move_to = not is_aside, lambda place: self._do(f"at {place}")
         cell.apex = lambda: "where it was"
         cell.changer.bring = lambda container: self._do(f"{container.id} brought")
         cell.sources = {}
@@ -302,7 +302,7 @@ def test_after_an_outage_a_container_is_weighed_about_the_bare_pan_or_once_where
 
 
 def test_an_arm_that_is_aside_stays_where_it_is() -> None:
-    resumed = Resumed(15_050.0, -5_000.0, 15_050.0, aside_mm=CLEAR_MM)
+    resumed = Resumed(15_050.0, -5_000.0, 15_050.0, is_aside=True)
     resumed.settle()
     assert resumed.done == ["weighed", "taken away", "weighed", "dish brought", "weighed"]
 

@@ -94,6 +94,12 @@ class Beside(Base):
     zones = ("bench",)
 
 
+class Anywhere(Base):
+    """Command the changer in no zone."""
+
+    devices = ("changer",)
+
+
 class Go(Base):
     """Take one value of every type."""
 
@@ -127,6 +133,7 @@ SKILLS = {
     "swing": Swing,
     "over": Over,
     "beside": Beside,
+    "anywhere": Anywhere,
     "go": Go,
     "calm": Calm,
 }
@@ -205,6 +212,10 @@ def test_what_fits_together_has_no_problem(starter: Lab, tree: str) -> None:
         ("{parallel: [{move: }, {move: }]}", "2:30: children 1 and 2 of 'parallel' both command the arm"),
         ("{parallel: [{swing: }, {over: }]}", "2:31: children 1 and 2 of 'parallel' both move in the zone 'pan'"),
         ("{parallel: [{beside: }, {move: }]}", "2:20: this moves in the zone 'bench' beside the arm"),
+        (
+            "{parallel: [{move: }, {optional: {child: {anywhere: }}}]}",
+            "2:30: 'anywhere' commands the changer beside the arm in no zone",
+        ),
         ("{parallel: [{weigh: }, {retry: {attempts: 2, child: {fill: {mass: 1 g}}}}]}", "both command the balance"),
         (
             "{parallel: [{weigh: {as: m}}, {optional: {child: {weigh: {as: m}}}}]}",

@@ -15,7 +15,7 @@ from running import make_lab, shared_planner, simulated_bench
 
 from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.believed_powder import InVessel
-from scuhand_bt.cell.places import all_places, over_balance
+from scuhand_bt.cell.places import CLEAR_MM, all_places, over_balance
 from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
@@ -30,6 +30,7 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.options import Options
+from scuhand_bt.run.outage import settle_arm, settle_outage
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.fault_rules import parse_faults
@@ -187,6 +188,25 @@ def test_a_zone_that_the_arm_was_left_in_is_free_for_the_hand_there_and_for_noth
     bench.do(bench.cell.move_to("mortar_bay"))
     del bench.way.commands["arm"]
     assert leases.take(["changer", "balance"], CHANGER, ["pan"])
+
+
+@pytest.mark.parametrize("was_dosed", [False, True])
+def test_an_arm_that_an_outage_has_left_in_the_zone_goes_out_of_it_before_a_container_is_changed(
+    starter: Lab, bench: Bench, was_dosed: bool
+) -> None:
+    """Its apex is aside of the pan, and the cone within what the carousel sweeps: that knocked over what it carried."""
+    cell, skills = bench.cell, starter.library.skills
+    if was_dosed:
+        holder = Container(id="h", **dict(starter.library.containers["xrd_holder"]))
+        bench.do(skills["place_container"](container=holder).run(cell))
+        bench.do(skills["tare"]().run(cell))
+    bench.do(cell.move_to(ApexPose(np.array([0.225, 0.0, 0.184]))))
+    assert cell.aside_of_pan_mm() > CLEAR_MM
+    assert "pan" in cell.zones_entered()
+    journal: Any = SimpleNamespace(event=lambda event: None)
+    bench.do(settle_outage(journal, cell) if was_dosed else settle_arm(cell))
+    assert bench.world.pan.container_id == ("h" if was_dosed else None)
+    assert ("pan" in cell.zones_entered()) is was_dosed, "where it stood, it goes on"
 
 
 def test_a_weighing_waits_for_the_arm_and_no_motion_begins_in_it(bench: Bench) -> None:

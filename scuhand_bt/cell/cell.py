@@ -15,7 +15,7 @@ import numpy as np
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.carrying import spill_limit_of, upright_again
 from scuhand_bt.cell.in_the_way import InTheWay, StoppedShort
-from scuhand_bt.cell.places import Position
+from scuhand_bt.cell.places import CLEAR_MM, Position
 from scuhand_bt.cell.right_of_way import LOOK_S, ZONE_TIMEOUT_S, RightOfWay, taken
 from scuhand_bt.cell.scooping import planned_out, planned_stroke
 from scuhand_bt.cell_spec import DEVICES, CellSpec
@@ -379,7 +379,14 @@ class Cell:
 
     def zones_entered(self) -> frozenset[str]:
         """The zones of the cell that the arm is in."""
-        return self.motion.entered(self.arm.positions) if self.spec.zones else frozenset()
+        if not self.spec.zones:
+            return frozenset()
+        return self.motion.entered(self.arm.positions, self.hand.cone_diameter_mm / 1000)
+
+    @property
+    def may_meet_a_container(self) -> bool:
+        """Whether the arm is where containers are changed: over the pan, or in a zone, whatever that is for."""
+        return self.aside_of_pan_mm() < CLEAR_MM or bool(self.zones_entered())
 
     def _follow(self, trajectory: Trajectory) -> Steps[None]:
         planned_s = self.clock.now_s + PLANNING_S

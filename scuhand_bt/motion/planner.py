@@ -97,9 +97,7 @@ class MotionPlanner:
         rim_mm, widest_mm = 1e3 * cone_diameter_m, 2 * self._cell.hand.sheet_radius_mm
         if not 0 < rim_mm < widest_mm:
             raise ValueError(f"this sheet makes cones of less than {widest_mm:g} mm, not of {rim_mm:g} mm")
-        is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
-        diameter_m = CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4)
-        self._geometry = Geometry(diameter_m, container, closed, self._geometry.occupied)
+        self._geometry = Geometry(_kept_m(cone_diameter_m), container, closed, self._geometry.occupied)
 
     def set_occupied(self, points_m: Floats | None, voxel_m: float = VOXEL_M) -> None:
         """Where something else is seen now, as points (n, 3) whose cubes nothing may touch; None: nothing is.
@@ -119,10 +117,11 @@ class MotionPlanner:
         arm = arm_part(motion) if motion.start.size > self.joints else motion
         return scene.curve_free(later(arm, from_s), left_s, arm.extremes()[1])
 
-    def entered(self, q: Floats) -> frozenset[str]:
-        """The zones of the cell that the arm is in, at a configuration."""
+    def entered(self, q: Floats, cone_diameter_m: float | None = None) -> frozenset[str]:
+        """The zones of the cell that the arm is in, at a configuration, with the present rim or another."""
+        geometry = self._geometry if cone_diameter_m is None else Geometry(_kept_m(cone_diameter_m))
         one = (frozenset({zone}) for zone in self._cell.zone_names)
-        return frozenset[str]().union(*(z for z in one if self._scenes.of_zones(self._geometry, z).hits(q[None, :])[0]))
+        return frozenset[str]().union(*(z for z in one if self._scenes.of_zones(geometry, z).hits(q[None, :])[0]))
 
     def add_place(self, name: str, pose: ApexPose) -> None:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
@@ -388,6 +387,12 @@ class MotionPlanner:
 
     def _posture(self, place: str) -> Floats:
         return self._places.posture(place, self._geometry)
+
+
+def _kept_m(cone_diameter_m: float) -> float:
+    """A rim as scenes are kept by it: the usual one where it is hardly another, else to a tenth of a millimetre."""
+    is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
+    return CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4)
 
 
 def _mounted(hand: HandSpec, arm: DecomposedArm | None, geometry: Geometry) -> Mount:

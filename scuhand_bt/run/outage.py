@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import Bracket
 from scuhand_bt.cell.pan_cleared import possible_mg
-from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.cell.weighing import CHANGED_MG, weigh_changed, weighing_of
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import StableMean
@@ -56,7 +55,7 @@ def rim_in_words(rim_mm: float) -> str:
 
 def settle_arm(cell: Cell) -> Steps[None]:
     """Off the pan, where a run before has left the arm: a container is changed before anything else moves it."""
-    if cell.aside_of_pan_mm() < CLEAR_MM:
+    if cell.may_meet_a_container:
         yield from cell.move_to(cell.spec.station_of_kind("park").name)
 
 
@@ -94,7 +93,7 @@ class _Found:
 def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[None]:
     believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
     stood = cell.apex()
-    if is_in_the_way := cell.aside_of_pan_mm() < CLEAR_MM:
+    if is_in_the_way := cell.may_meet_a_container:
         yield from cell.move_to(cell.spec.station_of_kind("park").name)
     seen_mg, was_dosing = believed.seen_mg, believed.dosing.is_unweighed
     before, bare, loaded = yield from _weigh_about_the_bare_pan(cell)

@@ -1,6 +1,9 @@
 """What goes on at once: the children of a `parallel` have no device, no zone and no value between them."""
 
+from typing import Any
+
 from scuhand_bt.problems import Problems
+from scuhand_bt.skill import Skill
 from scuhand_bt.tree.library import Library, skills_of
 from scuhand_bt.tree.workflow import Branch, Call, arguments_of, references_of, walk
 
@@ -12,15 +15,20 @@ def check_side_by_side(node: Branch, defined: frozenset[str], library: Library, 
 
 
 def _check_places(node: Branch, library: Library, problems: Problems) -> None:
-    """No two children command one device, or move in one zone; and what zone one moves in is known to the arm."""
+    """No two children command one device, or move in one zone; and where one moves beside the arm is known to it."""
     used: dict[str, int] = {}
     entered: dict[str, int] = {}
+    anywhere: dict[int, str] = {}
+    """By child, a skill that has containers swing, and does not say where."""
     rules = (
         (used, "devices", "both command the {}", "one device does one thing at a time", "parallel-devices"),
         (entered, "zones", "both move in the zone '{}'", "one thing moves there at a time", "parallel-zones"),
     )
     for number, child in enumerate(node.children, start=1):
         skills = skills_of(child, library)
+        unsaid = (name for name, skill in library.skills.items() if skill in skills and _swings_anywhere(skill))
+        if (name := next(unsaid, None)) is not None:
+            anywhere[number] = name
         for first, kind, clash, why, code in rules:
             for name in sorted({name for skill in skills for name in getattr(skill, kind)}):
                 if name in first:
@@ -36,6 +44,18 @@ def _check_places(node: Branch, library: Library, problems: Problems) -> None:
                 f"`zones:` in robot/cell.yaml, with '{zone}' and its box; else 'sequence'",
                 code="unknown-zone",
             )
+    for number, name in anywhere.items():
+        if used.get("arm", number) != number:
+            problems.add(
+                node.children[number - 1].mark,
+                f"'{name}' commands the changer beside the arm in no zone, and nothing keeps the arm out of its way",
+                "`zones` in its class, with the zone that containers come and go through; else 'sequence'",
+                code="no-zone",
+            )
+
+
+def _swings_anywhere(skill: type[Skill[Any]]) -> bool:
+    return "changer" in skill.devices and not skill.zones
 
 
 def _check_values(node: Branch, defined: frozenset[str], problems: Problems) -> None:
