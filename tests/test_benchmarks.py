@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from dose_bench import shipped_powders
+from numpy.random import Generator
 
 from benchmarks import dosing_ablation, dosing_random, fleet, rig
 from benchmarks.calibration import (
@@ -36,7 +37,7 @@ from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.dosing import estimation
 from scuhand_bt.dosing.controller import LONGEST_UNWEIGHED_S
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.specs import Departure
+from scuhand_bt.specs import Departure, Powder
 
 pytestmark = pytest.mark.slow
 BEADS = TABLES[0]
@@ -137,6 +138,33 @@ def test_the_oracle_does_not_shake_crystals_that_would_come_in_avalanches() -> N
     crystals = shipped_powders()["monosodium_glutamate"]
     trials = run_of_doses(crystals, 500.0, "oracle", 0, Setting())
     assert all(abs(trial.true_error_mg) <= 2.0 for trial in trials)
+
+
+class BridgesUntilShaken:
+    """A plant whose powder flows by itself, and stands as a bridge after each 5 mg until it was shaken for a second."""
+
+    class Flow:
+        def __init__(self) -> None:
+            self._to_bridge_mg, self._stands_s = 5.0, 0.0
+
+        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: Generator) -> float:
+            if self._stands_s > 0.0:
+                self._stands_s -= vibration * dt_s
+                return 0.0
+            leaving_mg = min(30.0 * opening_mm**2.5 * dt_s, in_cone_mg)
+            self._to_bridge_mg -= leaving_mg
+            if self._to_bridge_mg <= 0.0:
+                self._to_bridge_mg, self._stands_s = 5.0, 1.0
+            return leaving_mg
+
+    def flow(self, powder: Powder) -> Flow:
+        return self.Flow()
+
+
+def test_the_oracle_shakes_what_stands_as_a_bridge_until_it_is_shaken() -> None:
+    setting = Setting(plant=f"{__name__}:BridgesUntilShaken")
+    (trial,) = run_of_doses(shipped_powders()["glass_beads"], 20.0, "oracle", 0, setting, doses=1)
+    assert (trial.reason, abs(trial.true_error_mg) <= 2.0) == ("reached", True)
 
 
 def judged_plants(family: str) -> list[Drawn]:
