@@ -26,7 +26,7 @@ from scuhand_bt.study.odds import COVERED, odds_of
 from scuhand_bt.study.trial import Setup
 
 PLANT = "harness.random_plants:RandomPlant"
-SETS = {"foretold": 18, "foretold_again": 19}
+SETS = {"foretold": 18, "foretold_again": 19, "foretold_anew": 20}
 """Of plants, and the seed that the recipes for each are drawn with."""
 TRIALS = 8
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)

@@ -13,7 +13,7 @@ watched afterwards as any other: that takes the same time.
 import contextlib
 import copy
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from scuhand_bt.sim.plant import PowderFlow
 from scuhand_bt.sim.world import World
 
 QUIET_S = 0.5
-"""What has not come for so long is tried to be brought by shutting the valve and opening it anew."""
+"""What has not come for so long is tried to be brought: by shutting the valve and opening it anew, or by shaking."""
 LONGEST_S = 900.0
 
 VIBRATIONS = (1.0, 0.0)
@@ -81,18 +81,20 @@ class Oracle:
                 return "reached" if abs(self.missing_mg) <= self.request.tolerance_mg else "overshoot"
             self.openings += 1
             yield from self._go_to(to)
-            yield from self._steer()
+            yield from self._steer(end_s)
             self._hand.stop()
             yield from self._wait(self._way_s(0.0) + STILL_S)
         return "step_limit"
 
-    def _steer(self) -> Steps[None]:
+    def _steer(self, end_s: float) -> Steps[None]:
         """One opening of the valve, until it is to be shut."""
         quiet_s, before_mg = 0.0, self.missing_mg
-        while self._world.ledger.masses_mg[CONE] > 0.0:
+        while self._world.ledger.masses_mg[CONE] > 0.0 and self._clock.now_s < end_s:
             index, to = self._look()
-            if to == SHUT or (quiet_s > QUIET_S and self._is_freed_by_shutting()):
+            freed_by = self._freed_by() if quiet_s > QUIET_S else None
+            if to == SHUT or freed_by == "shutting":
                 return
+            self._hand.set_vibration(VIBRATIONS[0] if freed_by == "shaking" else self._model.vibration)
             if to == index:
                 yield from self._wait(LOOK_S)
             else:
@@ -128,8 +130,8 @@ class Oracle:
         hand.set_opening(servo_mm)
         yield from self._wait(self._way_s(servo_mm))
 
-    def _is_freed_by_shutting(self) -> bool:
-        """Nothing comes now, and would if the valve were shut and opened anew."""
+    def _freed_by(self) -> Literal["shutting", "shaking"] | None:
+        """What frees powder that does not come now: the valve shut and opened anew, or shaking; None where it comes."""
         flow, gap_mm, in_cone_mg = copy.copy(self._flow), self._hand.gap_mm, self._world.ledger.masses_mg[CONE]
 
         def comes() -> bool:
@@ -137,9 +139,9 @@ class Oracle:
             return sum(steps) > 0.0
 
         if comes():
-            return False
+            return None
         flow.step(STEP_S, 0.0, 0.0, in_cone_mg, MIDDLE)
-        return comes()
+        return "shutting" if comes() else "shaking"
 
     @property
     def _flow(self) -> PowderFlow:

@@ -1,7 +1,7 @@
 """Randomised plants: families of powders, hands and balances that nobody has tuned to, drawn by Latin hypercube.
 
 A family says from what each figure is drawn; `draw` gives some plants of it. The sets of seeds, one to tune with, one
-to judge by, and two to judge forecasts by, share no plant and no random number. None of it is known to a controller,
+to judge by, and three to judge forecasts by, share no plant and no random number. None of it is known to a controller,
 and the physics (`harness.random_physics`) shares nothing with the simulation that the lab ships.
 """
 
@@ -16,7 +16,13 @@ from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.device_specs.hand import HandSpec, ValveErrorSpec
 from scuhand_bt.specs import Powder
 
-SETS = {"tuning": 20_260_301, "judging": 77_123_009, "foretold": 55_310_207, "foretold_again": 91_440_613}
+SETS = {
+    "tuning": 20_260_301,
+    "judging": 77_123_009,
+    "foretold": 55_310_207,
+    "foretold_again": 91_440_613,
+    "foretold_anew": 30_118_842,
+}
 """Seeds of numpy: of the draw, and where the seeds of its plants begin."""
 LONGEST_DELAY_S = 6.0
 

@@ -160,6 +160,7 @@ class Departure(StrEnum):
     GUARD = "guard"
     OVERSHOOT = "overshoot"
     GIVING_UP = "giving-up"
+    SHAKEN_START = "shaken-start"
     ORDER = "order"
     FIRST_GUESS = "first-guess"
     THAW = "thaw"

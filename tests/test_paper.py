@@ -136,10 +136,13 @@ def test_once_shaken_a_dose_is_shaken_to_its_end() -> None:
     assert all(pulse.vibration == 0.0 for pulse in gentle)
 
 
-def test_a_powder_that_flows_only_when_shaken_is_shaken_from_the_first_pulse() -> None:
-    asked = request(powder=BELIEVED.model_copy(update={"vibration": 1.0}))
+@pytest.mark.parametrize(("departures", "shaken"), [(ALL, {1.0}), (without(Departure.SHAKEN_START), {0.0})])
+def test_a_powder_that_flows_only_when_shaken_is_shaken_from_the_first_pulse_or_as_printed_is_not(
+    departures: tuple[Departure, ...], shaken: set[float]
+) -> None:
+    asked = request(powder=BELIEVED.model_copy(update={"vibration": 1.0}), departures=departures)
     pulses, _ = dose(asked, lambda n, pulse: modelled(pulse, START))
-    assert all(pulse.vibration == 1.0 for pulse in pulses)
+    assert {pulse.vibration for pulse in pulses} == shaken
 
 
 @pytest.mark.parametrize(("departures", "sized_by"), [(ALL, START), (without(Departure.ORDER), START / 2.0)])

@@ -13,7 +13,9 @@ from numpy.random import Generator
 from running import Ran, dry_run, make_lab, shared_planner
 
 from scuhand_bt.clock import Steps
+from scuhand_bt.failures import CATALOGUE, Code
 from scuhand_bt.lab import load_lab
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.observers import BatchObserver
@@ -126,6 +128,9 @@ def test_a_source_that_gives_nothing_costs_two_scoops_and_its_other_samples_are_
     assert {placed["container"] for placed in told(ran, "container")} == {"a", "c"}
     assert "'beads' has brought nothing before" in (ran.sample("d").detail or "")
     assert ran.result.exit_code == 1
+    with pytest.raises(SourceError, match="the run is complete"):
+        checked_history(ran.journal)
+    assert "begin a new run of the samples that were not run" in CATALOGUE[Code.SCOOP_NOTHING].remedy
 
 
 @pytest.mark.slow
@@ -144,9 +149,8 @@ def test_every_controller_gives_up_on_a_source_that_gives_nothing(tmp_path: Path
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller=controller)
     assert (ran.result.exit_code, len(told(ran, "scoop"))) == (3, 2)
     assert ran.result.reason.startswith("a: scoop.nothing: 2 loads in a row from 'beads' have brought nothing")
-    assert re.search(
-        r"\. \d+\.\d+ g should be left in it: if they stand at the sides, level them, if they bridge", ran.result.reason
-    )
+    left = r"\. \d+\.\d+ g should be left in it: if they stand at the sides, level them, if they bridge in the cone, .*"
+    assert re.search(f"{left}, if they are not there, refill it and correct the recipe's amount", ran.result.reason)
 
 
 @pytest.mark.slow

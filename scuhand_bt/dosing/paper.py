@@ -11,7 +11,7 @@ Nothing in the listing sets `use_vibration` back: once shaken, a dose is shaken 
 open is settled like this:
 
 * *The first C'.* It has none to start with. It is started `CAUTION` spreads of the powder's first guess too large,
-  so that the first pulses are small; for a powder that flows only when shaken in vibration mode.
+  so that the first pulses are small.
 * *Vibration mode.* W is 'switched internally': each mode has a C' of its own, fitted to its own pulses.
 * *The branch of the argmin.* The minimum is a curve in (D, t). The shortest dwell is taken first and
   the opening solved for; only when the widest opening does not suffice does the dwell grow.
@@ -23,6 +23,8 @@ Where the listing is left, the departure has a name (`scuhand_bt.specs.Departure
   keeps (`verdict`). As printed there is none.
 * `overshoot`: `while |e| >= 2` never ends once e <= -2, as powder cannot be taken back. The dose ends.
 * `giving-up`: full openings under vibration that bring nothing end the dose, as `empty` or `no_flow`.
+* `shaken-start`: a dose of a powder that flows only when shaken begins with `use_vibration` true. As printed it begins
+  with false, and is not shaken before a pulse as large as is wanted is larger than the widest one should bring.
 * `order`: vibration is decided on before the argmin, so that the first shaken pulse is sized by the shaken C'.
   As printed that pulse is the argmin of the other mode.
 * `first-guess`: it stays in the fit as one more pulse like the first, so that one odd pulse cannot collapse C'.
@@ -78,7 +80,7 @@ class Paper:
         self._request = request
         start = (1.0 + CAUTION * request.powder.spread) * request.powder.coefficient
         self._gravity, self._shaken = _Mode(start), _Mode(start)
-        self._use_vibration = request.powder.vibration > 0.0
+        self._use_vibration = Departure.SHAKEN_START in request.departures and request.powder.vibration > 0.0
         self._pulse: Pulse | None = None
         self._net_mg = 0.0
         self._start_mg = 0.0

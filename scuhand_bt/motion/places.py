@@ -12,6 +12,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.decomposed import DecomposedArm
@@ -133,3 +134,10 @@ def reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:
         return pose
     seam = np.cos(mount.lean_rad) * pose.axis + np.sin(mount.lean_rad) * back / length_m
     return ApexPose(pose.position_m, pose.axis, seam)
+
+
+def visits_rad(cell: CellSpec) -> dict[str, Floats]:
+    """Of the stations where only an empty cone comes, in what directions the arm comes from and goes to."""
+    from_and_to = [one.position_mm for one in cell.stations.values() if one.kind in ("mortar", "waste", "park")]
+    directions_rad = np.array([np.arctan2(y, x) for x, y, _ in from_and_to])
+    return {name: directions_rad for name, one in cell.stations.items() if one.kind == "service"}

@@ -33,11 +33,11 @@ from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_
 from scuhand_bt.motion.occupancy import SEEN, VOXEL_M, Occupancy
 from scuhand_bt.motion.pace import Pace
 from scuhand_bt.motion.patience import FOR_EVER_S, Patience
-from scuhand_bt.motion.places import Places
+from scuhand_bt.motion.places import Places, visits_rad
 from scuhand_bt.motion.plan_store import PlanStore
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, forming_motion, reform_motion
-from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
+from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes, kept_diameter_m
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
 from scuhand_bt.motion.timelaw import RateLimits
@@ -47,8 +47,6 @@ from scuhand_bt.motion.transfer import LIVE, Effort
 from scuhand_bt.motion.way_out import way_out
 from scuhand_bt.specs import ContainerKind, Mortar
 
-SETTLED_DIAMETER_M = 0.0005
-"""How far the rim of a cone that was formed to the usual diameter may be measured from it."""
 STROKES_KEPT, OTHERS_KEPT = 64, 192
 
 
@@ -74,7 +72,7 @@ class MotionPlanner:
         self.tool = arm.tool
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
-        self._places = Places(self._scenes, cell.hand, arm.decomposed, self.rates, _visits_rad(cell))
+        self._places = Places(self._scenes, cell.hand, arm.decomposed, self.rates, visits_rad(cell))
         self._mount_in = partial(_mounted, cell.hand, arm.decomposed)
         self._answers = Answers(self._scenes, self._places, self._pace, self._mount_in, self._store)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
@@ -97,7 +95,7 @@ class MotionPlanner:
         rim_mm, widest_mm = 1e3 * cone_diameter_m, 2 * self._cell.hand.sheet_radius_mm
         if not 0 < rim_mm < widest_mm:
             raise ValueError(f"this sheet makes cones of less than {widest_mm:g} mm, not of {rim_mm:g} mm")
-        self._geometry = Geometry(_kept_m(cone_diameter_m), container, closed, self._geometry.occupied)
+        self._geometry = Geometry(kept_diameter_m(cone_diameter_m), container, closed, self._geometry.occupied)
 
     def set_occupied(self, points_m: Floats | None, voxel_m: float = VOXEL_M) -> None:
         """Where something else is seen now, as points (n, 3) whose cubes nothing may touch; None: nothing is.
@@ -119,7 +117,7 @@ class MotionPlanner:
 
     def entered(self, q: Floats, cone_diameter_m: float | None = None) -> frozenset[str]:
         """The zones of the cell that the arm is in, at a configuration, with the present rim or another."""
-        geometry = self._geometry if cone_diameter_m is None else Geometry(_kept_m(cone_diameter_m))
+        geometry = self._geometry if cone_diameter_m is None else Geometry(kept_diameter_m(cone_diameter_m))
         one = (frozenset({zone}) for zone in self._cell.zone_names)
         return frozenset[str]().union(*(z for z in one if self._scenes.of_zones(geometry, z).hits(q[None, :])[0]))
 
@@ -389,18 +387,5 @@ class MotionPlanner:
         return self._places.posture(place, self._geometry)
 
 
-def _kept_m(cone_diameter_m: float) -> float:
-    """A rim as scenes are kept by it: the usual one where it is hardly another, else to a tenth of a millimetre."""
-    is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
-    return CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4)
-
-
 def _mounted(hand: HandSpec, arm: DecomposedArm | None, geometry: Geometry) -> Mount:
     return Mount.of(hand, 1e3 * geometry.cone_diameter_m, arm)
-
-
-def _visits_rad(cell: CellSpec) -> dict[str, Floats]:
-    """Of the stations where only an empty cone comes, in what directions the arm comes from and goes to."""
-    from_and_to = [one.position_mm for one in cell.stations.values() if one.kind in ("mortar", "waste", "park")]
-    directions_rad = np.array([np.arctan2(y, x) for x, y, _ in from_and_to])
-    return {name: directions_rad for name, one in cell.stations.items() if one.kind == "service"}

@@ -21,6 +21,8 @@ from scuhand_bt.motion.recent import Recent
 from scuhand_bt.specs import ContainerKind, Mortar
 
 CONE_DIAMETER_M = MOUNTED_DIAMETER_MM / 1e3
+SETTLED_DIAMETER_M = 0.0005
+"""How far the rim of a cone that was formed to the usual diameter may be measured from it."""
 MARGIN_M = 0.005
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
@@ -43,6 +45,12 @@ class Geometry:
     def usual(self) -> "Geometry":
         """The same cone over a bare pan, with no zone closed and nothing else to be seen."""
         return Geometry(self.cone_diameter_m)
+
+
+def kept_diameter_m(cone_diameter_m: float) -> float:
+    """A rim as scenes are kept by it: the usual one where it is hardly another, else to a tenth of a millimetre."""
+    is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
+    return CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4)
 
 
 _Asked: TypeAlias = tuple[Geometry, float, str | None, tuple[float, ...]]

@@ -2,7 +2,7 @@
 
 Each trial has a cell of its own (`some_cell`). The interval of a duration is that of Student's t for the logarithm of
 one more run like these, widened by `MODEL_SHARE` for what persons, carousels and arms differ by, that of a mass
-Student's t for the mass itself, widened by `MODEL_MASS_SHARE`; a sample's chance is lowered by `UNFORESEEN` likewise.
+Student's t for the mass itself, widened by `MODEL_MASS_SHARE`.
 `benchmarks.forecasts` holds times and chances against runs on plants that no trial has had.
 """
 
@@ -41,10 +41,6 @@ MODEL_MASS_SHARE = 0.005
 milligrams more or less than Student's t of eight trials alone has, and 4 with this."""
 FEWEST = 3
 """Trials that tell an interval: by two, Student's t makes of 5 and of 13 minutes some seconds to half a day."""
-UNFORESEEN = 0.02
-"""Of the samples of a cell, those that fail by what it has and a simulation has not. On `tuning` plants of
-`harness.random_plants`, whose physics shares nothing with the trials', 10 of 340 doses of beads and crystals failed
-(seven of them one run, on a balance that rings), where trials fail in less than one of a hundred."""
 WIDE = 1.645
 """Standard deviations that hold `COVERED` of a normal distribution."""
 BATCH_COUNTS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
@@ -314,7 +310,6 @@ def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
     squares = means * (a + good + 1.0) / (counts + tried + 1.0)
     mean = np.sum(weights * means, axis=(0, 1))
     variance = np.sum(weights * squares, axis=(0, 1)) - mean * mean
-    mean, variance = (1.0 - UNFORESEEN) * mean, (1.0 - UNFORESEEN) ** 2 * variance
     # Of the interval a beta distribution with that mean and variance.
     size = mean * (1.0 - mean) / variance - 1.0
     low, high = (
