@@ -387,8 +387,8 @@ class Dispense(Skill[Dose]):
             left = f"{format_mass(believed.sources_mg.get(source.name, 0.0))} should be left in it"
             done = f"{barren}, open and shaken; it is not scooped from any more"
             mended = "if they stand at the sides, level them, if they bridge in the cone, dry or sieve them"
-            refilled = "if they are not there, refill it and correct the recipe's amount"
-            return SkillFailed(Code.SCOOP_NOTHING, f"{done}. {left}: {mended}, {refilled}, and begin a new run")
+            less = "if there is less, correct the recipe's amount or refill it"
+            return SkillFailed(Code.SCOOP_NOTHING, f"{done}. {left}: {less}, {mended}, and begin a new run")
         if believed.dosing.in_vain >= LAST_LOADS:
             what = f"{LAST_LOADS} loads in a row, open and shaken, have given nothing of the last {lacked_mg:.1f} mg"
             return SkillFailed(Code.DOSE_NOT_REACHED, f"{reached}: {what}")

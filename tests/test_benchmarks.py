@@ -324,13 +324,13 @@ def fails(*_: object) -> None:
 
 def test_a_dose_that_no_bare_pan_has_confirmed_is_not_told_good(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig, "take_container_away", fails)
-    trials = run_of_doses(shipped_powders()["glass_beads"], 20.0, "adaptive", 1, Setting(), 1)
+    (trial,) = run_of_doses(shipped_powders()["glass_beads"], 20.0, "adaptive", 1, Setting(), 1)
     assert abs(trial.true_error_mg) < 2.0
     assert not trial.accepted
 
 
 def test_the_paper_is_not_held_up_by_a_watch_that_its_experiments_had_not() -> None:
-    trials = run_of_doses(shipped_powders()["glass_beads"], 20.0, "paper", 1, Setting(), 1)
+    (trial,) = run_of_doses(shipped_powders()["glass_beads"], 20.0, "paper", 1, Setting(), 1)
     assert trial.duration_s > LONGEST_UNWEIGHED_S, "in a lab its pan is watched by then"
     assert trial.duration_s / trial.steps == pytest.approx(7.2, rel=0.06), "its Table II, and the valve's time open"
 
