@@ -12,6 +12,7 @@ from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.runner import Runner
 from scuhand_bt.run.session import Session
 
 ONE_DOSE = """
@@ -252,6 +253,24 @@ def test_a_stop_at_any_tick_ends_safe_with_a_verdict_for_every_sample(tmp_path: 
     assert [sample.verdict for sample in ran.result.samples] == ["interrupted", "not run"]
     assert_safe(ran)
     assert read(ran.journal, "event")[-1]["kind"] == "matter"
+
+
+def test_a_stop_on_a_disk_that_is_full_by_then_is_a_fault_as_nobody_can_read_how_the_run_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Making the cell safe is told that the journal is lost, goes on all the same, and was the only one to know."""
+    make_safe = Runner.make_safe
+
+    def on_a_full_disk(one: Runner) -> bool:
+        monkeypatch.setattr(Runner, "make_safe", make_safe)
+        one._journal._store.db.execute("PRAGMA query_only=ON")  # as a full disk
+        return make_safe(one)
+
+    monkeypatch.setattr(Runner, "make_safe", on_a_full_disk)
+    ran = dry_run(tmp_path, ONE_DOSE, stop_at=33)
+    assert ran.result.exit_code == ExitCode.CELL_FAULT
+    assert ran.result.reason.startswith("how the run ended is not written")
+    assert_safe(ran)
 
 
 def test_every_action_is_in_the_journal_before_it_acts(tmp_path: Path) -> None:

@@ -124,6 +124,11 @@ class Journal:
         if self.gathers and self._queue:
             self.settle()
 
+    @property
+    def lost(self) -> RecordLost | None:
+        """Why nothing is written to its path any more, whoever was told of it; None while it is."""
+        return self._lost
+
     def settle(self) -> None:
         """Wait until all is on disk: only where nothing moves. Raises RecordLost, once, where it cannot be."""
         if self.gathers:

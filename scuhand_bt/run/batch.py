@@ -116,6 +116,8 @@ class Batch:
         try:
             self._journal.event(ending)
             self._journal.settle()
+            if ending.exit_code != ExitCode.CELL_FAULT and self._journal.lost is not None:
+                raise self._journal.lost  # as the cell was made safe, which was not to be kept from it
         except (RecordLost, Hung) as lost:
             ending = _ended(ExitCode.CELL_FAULT, f"how the run ended is not written: {lost}")
             with suppress(RecordLost):
