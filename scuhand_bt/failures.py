@@ -279,7 +279,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.OPERATOR_REFUSED: Failure(
         "The operator answered no.",
         "Do what was asked, or change the recipe.",
-        ("run",),
+        ("cell", "run"),
     ),
     Code.OPERATOR_ABSENT: Failure(
         "A person was needed and none was there.",
