@@ -3,7 +3,7 @@
     python -m benchmarks.fleet [--days 5] [--seeds 2]    # 1 to 256 cells as discrete events
     python -m benchmarks.fleet --draw 8                  # the dry runs that these are drawn from, anew
     python -m benchmarks.fleet --queue 100000            # submitting to and taking from a PostgreSQL of its own
-    python -m benchmarks.fleet --chaos 100               # stations, runs, submitters and the server killed so often
+    python -m benchmarks.fleet --chaos 100 [--seed 0]    # stations, runs, submitters and the server killed so often
 
 Each part replaces its own figures in fleet_results.json. The simulated fleet (`fleet_model.py`) works at the shipped
 recipes. Durations, good samples, powder used, the moments that need a person and runs that stop by themselves are those
@@ -165,6 +165,7 @@ def main(words: Sequence[str] | None = None) -> None:
     part.add_argument("--draw", type=at_least(1), metavar="SEEDS")
     part.add_argument("--queue", type=at_least(SINGLE), metavar="JOBS")
     part.add_argument("--chaos", type=at_least(1), metavar="KILLS")
+    parser.add_argument("--seed", type=int, default=0, help="of the chaos")
     parser.add_argument("--json", type=Path, default=RESULTS)
     given = parser.parse_args(words)
     results = json.loads(given.json.read_text(encoding="utf-8")) if given.json.exists() else {}
@@ -178,7 +179,7 @@ def main(words: Sequence[str] | None = None) -> None:
         print(json.dumps(results["queue"], indent=1))
     elif given.chaos:
         with server() as made, tempfile.TemporaryDirectory() as folder:
-            found = chaos(Path(folder), made, kills=given.chaos, seed=0)
+            found = chaos(Path(folder), made, kills=given.chaos, seed=given.seed)
         results["chaos"] = TypeAdapter(Chaos).dump_python(found, mode="json")  # `asdict` counts a Counter's pairs
         print(json.dumps(results["chaos"], indent=1))
     elif "kinds" not in results:
