@@ -1,8 +1,11 @@
 """A workflow that does not dose what its sample asks is refused before anything moves, where that is written."""
 
+from collections.abc import Sequence
+
 import pytest
 from conftest import Desk, LabFolder
 
+from scuhand_bt.problems import Problem
 from scuhand_bt.run.checking import check
 
 RECIPE = """\
@@ -248,6 +251,16 @@ def test_a_dose_that_is_asked_for_and_another_of_its_lot_behind_it_are_one(
 AGAIN = FILL.replace("$mass", "$gross")
 
 
+def problems_of_two_containers(lab_folder: LabFolder, steps: list[str]) -> Sequence[Problem]:
+    """What `check` says of a sample with containers `one`, placed and tared before these steps, and `other`."""
+    tree = "\n".join(f"    - {step}" for step in (PLACE, "tare: {as: gross}", *steps)).replace("$container", "$one")
+    inputs = f"{INPUTS.replace('container', 'one')}, other: Container"
+    lab_folder.write("trees/mine.yaml", f"workflow: mine\ninputs: {{{inputs}}}\ntree:\n  sequence:\n{tree}\n")
+    sample = f"{SAMPLE.replace('container:', 'one:')}, other: vial_11mm"
+    recipe = lab_folder.write("recipes/r.yaml", f"{RECIPE}  - {{{sample}}}\n")
+    return check(lab_folder.load(), recipe, fast=True).problems
+
+
 @pytest.mark.parametrize(
     ("steps", "is_warned"),
     [
@@ -264,12 +277,7 @@ AGAIN = FILL.replace("$mass", "$gross")
 def test_only_a_dose_that_always_comes_behind_the_asked_one_is_warned_of(
     lab_folder: LabFolder, steps: list[str], is_warned: bool
 ) -> None:
-    tree = "\n".join(f"    - {step}" for step in (PLACE, "tare: {as: gross}", *steps)).replace("$container", "$one")
-    inputs = f"{INPUTS.replace('container', 'one')}, other: Container"
-    lab_folder.write("trees/mine.yaml", f"workflow: mine\ninputs: {{{inputs}}}\ntree:\n  sequence:\n{tree}\n")
-    sample = f"{SAMPLE.replace('container:', 'one:')}, other: vial_11mm"
-    recipe = lab_folder.write("recipes/r.yaml", f"{RECIPE}  - {{{sample}}}\n")
-    problems = check(lab_folder.load(), recipe, fast=True).problems
+    problems = problems_of_two_containers(lab_folder, steps)
     assert not [one for one in problems if not one.is_warning]
     assert [one.mark.line for one in problems if one.code == "lot-twice"] == ([8] if is_warned else [])
 
@@ -293,12 +301,7 @@ def test_a_dose_whose_mass_is_there_already_is_warned_of(
     lab_folder: LabFolder, steps: list[str], lines: list[int]
 ) -> None:
     """Two powders in turns were dosed once each: of a lot a container has what its last dose says, in all."""
-    tree = "\n".join(f"    - {step}" for step in (PLACE, "tare: {as: gross}", *steps)).replace("$container", "$one")
-    inputs = f"{INPUTS.replace('container', 'one')}, other: Container"
-    lab_folder.write("trees/mine.yaml", f"workflow: mine\ninputs: {{{inputs}}}\ntree:\n  sequence:\n{tree}\n")
-    sample = f"{SAMPLE.replace('container:', 'one:')}, other: vial_11mm"
-    recipe = lab_folder.write("recipes/r.yaml", f"{RECIPE}  - {{{sample}}}\n")
-    problems = check(lab_folder.load(), recipe, fast=True).problems
+    problems = problems_of_two_containers(lab_folder, steps)
     assert [one.mark.line for one in problems if one.code == "lot-twice"] == lines
 
 

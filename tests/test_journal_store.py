@@ -154,6 +154,17 @@ def test_what_a_dry_run_tells_after_its_end_is_on_disk_while_its_world_is_kept_w
     assert not world_path(run.journal).exists()
 
 
+def test_a_run_whose_journal_is_lost_says_so_as_why_it_ended(tmp_path: Path) -> None:
+    class Losing(Watch):
+        def ticked(self, root: Any) -> None:
+            super().ticked(root)
+            if self.ticks == 5:
+                lose(self.session.journal.path, "removed")
+
+    result = Run(tmp_path, make_lab(tmp_path / "lab")).go(Losing())
+    assert result.reason.startswith("the journal ")
+
+
 # --- beside the tick
 
 

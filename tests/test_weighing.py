@@ -367,20 +367,28 @@ def test_a_balance_that_took_long_to_be_stable_is_weighed_until_it_creeps_no_mor
     assert len(mean.times_s) == 3
 
 
+class Lies(Shown):
+    """Stable, it says, whatever it shows: for 2 s after a load has come, of which it then misses a third."""
+
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+        lines = []
+        while len(lines) < 5:
+            line = yield from self.next_reading()
+            lines = [*lines, line] if not 2.0 < line.time_s < 20.0 else []
+        mean_mg = sum(line.value_mg for line in lines) / 5
+        return StableMean(mean_mg, U_MG, self.now_s, tuple(lines))
+
+
 def test_readings_that_are_called_stable_while_the_load_still_comes_are_no_weighing_of_it() -> None:
-    class Lies(Shown):
-        """Stable, it says, whatever it shows: for 2 s after a load has come, of which it then misses a third."""
-
-        def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
-            lines = []
-            while len(lines) < 5:
-                line = yield from self.next_reading()
-                lines = [*lines, line] if not 2.0 < line.time_s < 20.0 else []
-            mean_mg = sum(line.value_mg for line in lines) / 5
-            return StableMean(mean_mg, U_MG, self.now_s, tuple(lines))
-
     shown = Lies(by_time=lambda now_s: 25_000.0 * (1.0 - math.exp(-now_s / 1.8)))
     assert shown.drive(weigh_changed(shown.cell, 0.0)).value_mg == pytest.approx(25_000.0, abs=1.0)
+
+
+def test_a_balance_that_calls_stable_what_never_comes_to_rest_is_refused() -> None:
+    shown = Lies(by_time=lambda now_s: 25_000.0 + 300.0 * math.sin(5.0 * now_s))
+    with pytest.raises(SkillFailed, match=r"balance\.unstable"):
+        shown.drive(weigh_changed(shown.cell, 0.0))
+    assert shown.now_s < 70.0
 
 
 @pytest.mark.parametrize(("takes_s", "period_s"), [(5.0, PERIOD_S), (34.0, 2.0)])

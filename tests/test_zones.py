@@ -190,6 +190,15 @@ def test_a_zone_that_the_arm_was_left_in_is_free_for_the_hand_there_and_for_noth
     assert leases.take(["changer", "balance"], CHANGER, ["pan"])
 
 
+def test_whether_the_arm_is_in_a_zone_is_told_by_the_rim_that_the_hand_has(bench: Bench) -> None:
+    """The planner has been told of the last motion's, which an outage or a person may have changed."""
+    cell = bench.cell
+    bench.do(cell.move_to(ApexPose(np.array([0.212, 0.0, 0.184]))))
+    assert "pan" in cell.zones_entered()
+    cell.hand.rim_is(40.0)
+    assert not cell.zones_entered()
+
+
 @pytest.mark.parametrize("was_dosed", [False, True])
 def test_an_arm_that_an_outage_has_left_in_the_zone_goes_out_of_it_before_a_container_is_changed(
     starter: Lab, bench: Bench, was_dosed: bool
@@ -281,6 +290,14 @@ def test_where_an_exchange_by_hand_was_halted_nothing_moves_before_a_person_says
     bench.do(bench.cell.move_to("park"))
     assert min(now_s for now_s, moves, _ in bench.seen if moves) >= 20.0
     assert len(asked) == 1
+
+
+def test_an_exchange_by_hand_that_came_to_its_end_tells_that_nobody_reaches_in_any_more(bench: Bench) -> None:
+    halted = bench.way.undisturbed(bench.later(60.0, lambda: None))
+    next(halted)
+    halted.close()
+    bench.do(bench.way.undisturbed(bench.later(1.0, lambda: None)))
+    assert list(bench.way.go()) == [], "nobody is asked"
 
 
 def test_a_cone_is_not_shaken_until_the_next_container_is_weighed(starter: Lab, bench: Bench) -> None:

@@ -132,7 +132,7 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     """The gross when something has come or gone: a balance with a dead time goes on showing for a while what was.
 
     One that took long to call itself stable creeps on after it, by some tenths of a milligram: it is weighed until it
-    has come to rest.
+    has come to rest. SkillFailed balance.unstable where readings that are called stable go on showing other loads.
     """
     end_s = cell.clock.now_s + LONGEST_DELAY_S
     while was_mg is not None and cell.clock.now_s < end_s:
@@ -141,7 +141,10 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
             break
     shown_s = cell.clock.now_s
     mean = yield from cell.right_of_way.stable_mean(RESTS_S)
-    while _is_on_its_way(mean) and cell.clock.now_s < shown_s + RESTS_S:
+    while _is_on_its_way(mean):
+        if cell.clock.now_s >= shown_s + RESTS_S:
+            what = f"for {RESTS_S:g} s it has called readings stable that differ by more than {CHANGED_MG:g} mg"
+            raise SkillFailed(Code.BALANCE_UNSTABLE, what)
         mean = yield from cell.right_of_way.stable_mean(RESTS_S)
     took_s = mean.time_s - shown_s
     quick_s = max(QUICK_S, QUICK_READINGS * cell.spec.balance.period_s)

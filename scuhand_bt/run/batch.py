@@ -117,7 +117,7 @@ class Batch:
             self._journal.event(ending)
             self._journal.settle()
             if ending.exit_code != ExitCode.CELL_FAULT and self._journal.lost is not None:
-                raise self._journal.lost  # as the cell was made safe, which was not to be kept from it
+                raise self._journal.lost  # who was told went on all the same, to make the cell safe
         except (RecordLost, Hung) as lost:
             ending = _ended(ExitCode.CELL_FAULT, f"how the run ended is not written: {lost}")
             with suppress(RecordLost):

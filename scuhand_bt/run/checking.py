@@ -214,8 +214,7 @@ def _check_odds(recipe: Recipe, lab: Lab, problems: Problems) -> None:
             if (powder.name, tolerance_mg) in told:
                 continue
             told.add((powder.name, tolerance_mg))
-            accepted_mg = max(0.0, acceptance_mg(tolerance_mg, u_mg))
-            if (chance := chance_with_lumps(accepted_mg, powder.lump_mg)) < LIKELY:
+            if (chance := chance_with_lumps(acceptance_mg(tolerance_mg, u_mg), powder.lump_mg)) < LIKELY:
                 lumps = f"{powder.name} comes in lumps of some {powder.lump_mg:g} mg"
                 share = format_below(chance, LIKELY)
                 what = f"about {share} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
