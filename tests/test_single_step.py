@@ -26,6 +26,10 @@ from scuhand_bt.run.simulation import DryRun
 RECIPE = "recipe: walk\nworkflow: mine\nsamples:\n  - {id: a}\n"
 WALK = "workflow: mine\ntree:\n  sequence:\n    - tour:\n    - wait: {duration: 1 s}\n    - park:\n"
 BESIDE = "workflow: mine\ntree:\n  parallel:\n    - wait: {duration: 1 s}\n    - tour:\n"
+BESIDE_IN_TIME = (
+    "workflow: mine\ntree:\n  parallel:\n"
+    "    - timeout: {duration: 0.3 s, child: {wait: {duration: 0.5 s}}}\n    - tour:\n"
+)
 IN_TIME = "workflow: mine\ntree:\n  timeout: {duration: 0.3 s, child: {wait: {duration: 0.1 s}}}\n"
 
 
@@ -149,3 +153,8 @@ def _fastest(motion: Trajectory) -> Any:
     times_s, step_s = np.linspace(0.0, motion.duration_s, 400, retstep=True)
     joints = np.array([motion.sample(time_s)[:JOINTS] for time_s in times_s])
     return np.abs(np.diff(joints, axis=0)).max(axis=0) / step_s
+
+
+def test_no_timeout_ends_what_goes_on_beside_a_question(tmp_path: Path) -> None:
+    walk = Walk(tmp_path, BESIDE_IN_TIME)
+    assert walk.step(Answering(after_s=0.6)).exit_code == 0

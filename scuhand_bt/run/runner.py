@@ -199,7 +199,6 @@ class Runner:
                     return Outcome(fault, "tripped")
                 if control.is_stopping:  # what was paused is not set in motion again to be stopped
                     return Outcome(interrupted="stopped")
-                shared.paused_s += clock.now_s - now_s
                 shared.going_on.fire()
                 continue
             if (fault := self._wait(root, shared, wish)) is not None:

@@ -21,17 +21,14 @@ class SingleStep:
         self._cell, self._control = cell, control
         self._asked: SkillLeaf | None = None
         self._question: Steps[str] | None = None
-        self._looked_s = 0.0
 
     def waits(self, leaf: SkillLeaf, inputs: Mapping[str, Any], shared: Ticking) -> Wake | None:
         if self._asked not in (None, leaf):
             return Wake.on(shared.going_on)
-        now_s = self._cell.clock.now_s
         if self._question is None:
-            self._asked, self._looked_s = leaf, now_s
+            self._asked = leaf
             self._question = self._cell.operator.ask(_asked(leaf.name, inputs), CHOICES)
-        shared.paused_s += now_s - self._looked_s  # no timeout is to end what a person is still thinking about
-        self._looked_s = now_s
+            shared.thinking(True)
         try:
             return next(self._question)
         except StopIteration as said:
@@ -49,6 +46,7 @@ class SingleStep:
         question, self._question, self._asked = self._question, None, None
         if question is not None:
             question.close()
+        shared.thinking(False)
         shared.going_on.fire()  # who waits to be asked for
 
 
