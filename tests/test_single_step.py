@@ -92,7 +92,7 @@ def test_every_action_begins_after_the_person_has_said_go_to_it(tmp_path: Path) 
     assert told[2::3] == ["tour", "wait", "park"]
     assert [question.split(".")[0] for question in told[0::3]] == [
         "Next: tour",
-        "Next: wait (duration: 1)",
+        "Next: wait (duration: 1 s)",
         "Next: park",
     ]
 

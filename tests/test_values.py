@@ -171,6 +171,25 @@ sequence:
     assert names(bench)[:3] == ["fails: hand.no_flow", "fails: hand.no_flow", "fails: source.empty"]
 
 
+def test_a_choice_fails_by_the_way_that_it_has_gone_this_time(bench: Bench) -> None:
+    tree = """\
+sequence:
+  - give: {mass: 1 mg, as: mass}
+  - retry:
+      attempts: 3
+      on: [hand.no_flow]
+      child:
+        if:
+          when: $mass < 5 mg
+          then: {sequence: [{give: {mass: 9 mg, as: mass}}, {fail: {code: hand.no_flow}}]}
+          else: {fail: {code: source.empty}}
+"""
+    ended = bench.run(tree, SKILLS)
+    assert ended.failure is not None
+    assert ended.failure.code == "source.empty"
+    assert names(bench) == ["1", "9", "fails: hand.no_flow", "fails: source.empty"]
+
+
 # --- lists
 
 

@@ -7,6 +7,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.run.control import Control
 from scuhand_bt.tree.leaf import SkillLeaf, Ticking
+from scuhand_bt.tree.library import units_of
 
 CHOICES = ("go", "stop")
 
@@ -27,7 +28,7 @@ class SingleStep:
             return Wake.on(shared.going_on)
         if self._question is None:
             self._asked = leaf
-            self._question = self._cell.operator.ask(_asked(leaf.name, inputs), CHOICES)
+            self._question = self._cell.operator.ask(_asked(leaf, inputs), CHOICES)
             shared.thinking(True)
         try:
             return next(self._question)
@@ -50,9 +51,10 @@ class SingleStep:
         shared.going_on.fire()  # who waits to be asked for
 
 
-def _asked(name: str, inputs: Mapping[str, Any]) -> str:
-    said = ", ".join(f"{key}: {_briefly(value)}" for key, value in inputs.items())
-    return f"Next: {name}{f' ({said})' if said else ''}. May it begin? With 'stop' the run stops here."
+def _asked(leaf: SkillLeaf, inputs: Mapping[str, Any]) -> str:
+    units = units_of(leaf.skill)
+    said = ", ".join(f"{key}: {_briefly(value)} {units.get(key, '')}".rstrip() for key, value in inputs.items())
+    return f"Next: {leaf.name}{f' ({said})' if said else ''}. May it begin? With 'stop' the run stops here."
 
 
 def _briefly(value: object) -> str:

@@ -265,6 +265,7 @@ class SkillLeaf(Behaviour):
             self._shared.consent.withdraw(self, self._shared)
         try:
             if self._steps is not None:
+                self._shared.listener.acting(self)
                 self._steps.close()
         except BaseException as error:
             outcome = "broken"
