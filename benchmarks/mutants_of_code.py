@@ -95,7 +95,6 @@ TARGETS = (
     Target("balance MT-SICS", "scuhand_bt/devices/balances/mt_sics.py", (), ("balance_dialects",)),
     Target("balance SBI", "scuhand_bt/devices/balances/sbi.py", (), ("balance_dialects",)),
     Target("balance Shimadzu", "scuhand_bt/devices/balances/shimadzu.py", (), ("balance_dialects",)),
-    Target("tree nodes", "scuhand_bt/tree/nodes.py", (), ("tree_nodes", "values")),
     Target("leases", "scuhand_bt/tree/leases.py", (), ("leases",)),
 )
 

@@ -30,6 +30,10 @@ BESIDE_IN_TIME = (
     "workflow: mine\ntree:\n  parallel:\n"
     "    - timeout: {duration: 0.3 s, child: {wait: {duration: 0.5 s}}}\n    - tour:\n"
 )
+THEN_LATE = (
+    "workflow: mine\ntree:\n  sequence:\n"
+    "    - wait: {duration: 0.1 s}\n    - optional: {timeout: {duration: 0.3 s, child: {wait: {duration: 9 s}}}}\n"
+)
 IN_TIME = "workflow: mine\ntree:\n  timeout: {duration: 0.3 s, child: {wait: {duration: 0.1 s}}}\n"
 
 
@@ -158,3 +162,10 @@ def _fastest(motion: Trajectory) -> Any:
 def test_no_timeout_ends_what_goes_on_beside_a_question(tmp_path: Path) -> None:
     walk = Walk(tmp_path, BESIDE_IN_TIME)
     assert walk.step(Answering(after_s=0.6)).exit_code == 0
+
+
+def test_a_timeout_has_its_own_time_after_a_person_has_thought(tmp_path: Path) -> None:
+    walk = Walk(tmp_path, THEN_LATE)
+    assert walk.step(Answering(after_s=0.4)).exit_code == 0
+    (late,) = (row for row in read(walk.journal, "action") if row["outcome"] == "halted")
+    assert 0.3 <= late["ended_s"] - late["started_s"] < 0.35

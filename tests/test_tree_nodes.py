@@ -11,6 +11,7 @@ from scuhand_bt.clock import Wake
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import JobEnded
 from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
 from scuhand_bt.report.watching import tree_of
 from scuhand_bt.run.clock import VirtualClock
@@ -308,6 +309,12 @@ def test_a_timeout_halts_its_child_at_its_time_on_the_runs_clock(bench: Bench) -
     assert outcome.failure.code == "workflow.timeout"
     assert bench.log == [(0.0, "work begins"), (5.0, "work halted")]
     assert bench.actions() == [("hand", "halted")]
+
+
+def test_that_a_timeout_has_ended_its_child_is_written_once_it_is_halted(bench: Bench, tmp_path: Path) -> None:
+    bench.run("timeout: {duration: 5 s, child: {hand: {duration: 1 h}}}", SKILLS)
+    kinds = [row["kind"] for row in read(tmp_path / "journal.sqlite", "entry")]
+    assert kinds[-3:] == ["action_started", "action_ended", "decided"]
 
 
 def test_a_child_that_ends_in_time_is_left_alone(bench: Bench) -> None:

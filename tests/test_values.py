@@ -244,6 +244,12 @@ def test_a_fallback_with_codes_begins_anew_and_goes_on_where_it_was(bench: Bench
     ]
 
 
+def test_a_fallback_with_codes_does_not_go_on_after_a_success(bench: Bench) -> None:
+    tree = "fallback: {on: [workflow.inverted], children: [{give: {mass: 1 mg, duration: 1 s}}, {say: }]}"
+    assert bench.run(tree, SKILLS).failure is None
+    assert names(bench) == ["1"]
+
+
 # --- a row of its own
 
 

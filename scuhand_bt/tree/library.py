@@ -39,6 +39,8 @@ class Library:
     mortars: Mapping[str, Mortar] = field(default_factory=dict)
     facts: Mapping[str, SkillFacts] = field(default_factory=dict)
     """What the skills' files say of them."""
+    taken_there: Mapping[str, Collection[str]] = field(default_factory=dict)
+    """What the starter lab's skills of these names take, where the lab has them in other words."""
     zones: Collection[str] = ()
     """The spaces that `robot/cell.yaml` says only one may move in at a time."""
     broken: Broken = field(default_factory=Broken)

@@ -279,7 +279,6 @@ class Timeout(_OnClock):
         self._visits += 1
         self._duration_s = self._arguments()["duration"]
         self._began_s = self._looked_s = self._counted_s
-        self._is_kept = False
 
     @property
     def _counted_s(self) -> float:
