@@ -117,6 +117,15 @@ def test_a_node_whose_value_cannot_be_worked_out_fails_as_any_other(bench: Bench
     assert names(bench)[-2:] == ["yes", "else"]
 
 
+def test_a_workflow_whose_result_cannot_be_worked_out_has_failed_and_is_tried_again(bench: Bench) -> None:
+    inner = "workflow: inner\nresult: 1 mg * (1 mg / $zero)\ntree: {give: {mass: 0 mg, as: zero}}"
+    tree = "retry: {attempts: 2, on: [workflow.bad_value], child: {inner: {as: mass}}}"
+    ended = bench.run(tree, SKILLS, {"inner": inner})
+    assert ended.failure is not None
+    assert ended.failure.code == "workflow.bad_value"
+    assert names(bench) == ["0", "0"]
+
+
 # --- choices
 
 
