@@ -41,6 +41,9 @@ MAX_LENGTH = 60
 MOST_LISTED = 8
 _NUMBER = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
 _COMMA = re.compile(r"[+-]?\d+,\d+(?!.*[.,])")
+_THOUSANDS = re.compile(
+    r"[+-]?\d{1,3}((\.\d{3})+,\d+|(,\d{3})+\.\d+|(\.\d{3}){2,}|(,\d{3}){2,}|(['’\s]\d{3})+([.,]\d+)?)\s*[A-Za-zµμ°%]*"
+)
 _UNIT = re.compile(r"[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?(?:/[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?)?")
 
 
@@ -168,6 +171,8 @@ def parse(text: str, unit: Unit) -> float:
     if match is None or (match[2] and not _UNIT.fullmatch(match[2])):
         if _COMMA.match(text[:MAX_LENGTH]):
             raise ValueError(unit.wanted(f"'{_short(text)}' has a comma; decimals are written with a point"))
+        if _THOUSANDS.fullmatch(text[:MAX_LENGTH]):
+            raise ValueError(unit.wanted(f"'{_short(text)}' has a sign for thousands; numbers are written without"))
         raise ValueError(unit.wanted(f"'{_short(text)}' is no {unit.dimension}"))
     number, unit_text = float(match[1]), match[2]
     if not unit_text:

@@ -45,7 +45,7 @@ class CheckWeight(Skill[Milligrams]):
     typical_s = 120.0
     interrupted = "repeat"
 
-    weight_mg: Milligrams
+    weight_mg: Annotated[Milligrams, Field(gt=0)]
     tolerance_mg: Milligrams = 1.0
     times: Annotated[int, Field(ge=1, le=50)] = 1
 

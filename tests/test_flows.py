@@ -3,7 +3,7 @@
 import pytest
 from conftest import LabFolder
 
-from scuhand_bt.problems import Problems
+from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe import flows
 from scuhand_bt.recipe.flow import flow_of
 from scuhand_bt.recipe.recipe import load_recipe
@@ -73,3 +73,45 @@ def test_where_a_workflow_goes_by_the_containers_id_samples_are_not_alike(lab_fo
     text = written("mass: 100 mg", "mass: 100 mg", workflow="by_id")
     samples = load_recipe(lab_folder.write("r.yaml", text), lab_folder.load()).samples
     assert [[pour.source for pour in sample.flow.pours] for sample in samples] == [["beads"], ["msg"]]
+
+
+UNFIT = (
+    ("weigh_blank", "container: xrd_holder, wait: -5 s", "'duration' of 'wait': '-5' is not accepted; at least 0"),
+    ("start_of_day", "weight: 0 g", "'weight' of 'check_weight': '0' is not accepted; more than 0"),
+    ("start_of_day", "weight: 20 g, times: 0", "'times' of 'check_weight': '0' is not accepted; at least 1"),
+    ("empty_mortar", "source: beads, scoops: 0", "'times' of 'repeat': '0' is not accepted; more than 0"),
+)
+
+
+@pytest.mark.parametrize(("workflow", "given", "said"), UNFIT)
+def test_a_value_that_would_fail_where_it_is_used_is_found_where_the_recipe_has_it(
+    lab_folder: LabFolder, workflow: str, given: str, said: str
+) -> None:
+    sources = "sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 6 g}}"
+    sample = f"  - {{id: a, {given}}}"
+    recipe = lab_folder.write("r.yaml", f"recipe: r\nworkflow: {workflow}\n{sources}\nsamples:\n{sample}\n")
+    with pytest.raises(SourceError) as caught:
+        load_recipe(recipe, lab_folder.load())
+    (problem,) = (one for one in caught.value.problems if not one.is_warning)
+    assert said in str(problem)
+    assert (problem.mark.line, problem.mark.column) == (5, sample.rindex(":") + 3)
+
+
+def test_a_value_that_is_worked_out_is_found_where_the_workflow_has_it(lab_folder: LabFolder) -> None:
+    lab_folder.write(
+        "trees/short.yaml",
+        "workflow: short\ninputs: {container: Container, wait: Duration}\ntree:\n"
+        "  weigh_blank: {container: $container, wait: $wait - 10 s}\n",
+    )
+    sample = "{id: a, container: xrd_holder, wait: WAIT}"
+    text = f"recipe: r\nworkflow: short\nsamples: [{sample}]\n"
+    load_recipe(lab_folder.write("r.yaml", text.replace("WAIT", "12 s")), lab_folder.load())
+    with pytest.raises(SourceError, match=r"weigh_blank\.yaml:\d+:\d+: 'duration' of 'wait': '-5' is not accepted"):
+        load_recipe(lab_folder.write("r.yaml", text.replace("WAIT", "5 s")), lab_folder.load())
+
+
+def test_a_tolerance_below_nothing_is_the_recipes_fault_alone(lab_folder: LabFolder) -> None:
+    text = written("mass: 400 mg, ratio: 50 %, tolerance: -1 mg")
+    with pytest.raises(SourceError) as caught:
+        load_recipe(lab_folder.write("r.yaml", text), lab_folder.load())
+    assert {one.code for one in caught.value.problems if not one.is_warning} == {"fine-tolerance"}

@@ -42,8 +42,8 @@ def test_the_starter_lab_passes_its_own_tests(command: Call) -> None:
     [
         ("    expect: {outcome: success}\n", "expected success, came to source.empty (as the test has it)"),
         ("    expect: {outcome: dose.overshoot}\n", "expected dose.overshoot, came to source.empty"),
-        ("    expect: {outcome: source.empty, times: {scoop: 2}}\n", "expected 2 calls of scoop, there were 1"),
-        ("    expect: {outcome: source.empty, times: {tare: 0}}\n", "expected 0 calls of tare, there were 1"),
+        ("    expect: {outcome: source.empty, times: {scoop: 2}}\n", "expected 2 calls of scoop, came to 1"),
+        ("    expect: {outcome: source.empty, times: {tare: 0}}\n", "expected 0 calls of tare, came to 1"),
         (
             "    expect: {outcome: source.empty, calls: [tare]}\n",
             "expected the calls tare; there were place_container,",

@@ -124,7 +124,7 @@ def test_entries_added_after_the_end_are_told(runs: Path, command: Call) -> None
     rehash(journal)
     code, out, _ = command("verify", journal)
     assert code == 0
-    assert "The last 1 entries are not in the ledger" in out.partition("Not proven:")[2]
+    assert "The last entry is not in the ledger" in out.partition("Not proven:")[2]
 
 
 def test_an_altered_ledger_proves_nothing_and_is_told(runs: Path, command: Call) -> None:

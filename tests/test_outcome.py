@@ -155,6 +155,16 @@ def test_a_workflow_that_asks_no_mass_is_judged_by_its_own_doses() -> None:
     assert confirmed(nothing, gone()) == nothing
 
 
+def test_pulses_and_vibration_are_those_of_all_doses_whichever_the_recipe_asks_for() -> None:
+    asked = dose(50.4)
+    second = dose(40.2, 40.0, lot=SALT).model_copy(update={"pulses": 5, "vibration_s": 9.5})  # those before it counted
+    had = result(asked, second)
+    assert (had.dispensed_mg, had.pulses, had.vibration_s) == (50.4, 5, 9.5)
+    other = dose(50.1, container="a/second").model_copy(update={"pulses": 2, "vibration_s": 0.5})
+    two = result(dose(50.0, container="a/first"), other, of=sample(first=FIRST, second=SECOND))
+    assert (two.pulses, two.vibration_s) == (5, 2.0)
+
+
 def test_the_last_dose_of_a_lot_counts_for_all_of_its_parts() -> None:
     had = result(dose(20.0), dose(50.5))
     assert [(one.lot, one.dispensed_mg) for one in had.doses] == [(BEADS, 50.5)]
@@ -643,7 +653,7 @@ def test_a_sample_of_several_doses_is_told_with_each_of_them() -> None:
         "[1/1] a: glass_beads 50.4 mg of 50.0 mg (+0.4 mg), in tolerance; monosodium_glutamate 45.0 mg of 40.0 mg "
         "(+5.0 mg), over; in 3 pulses, 1 min 00 s: over",
         "[1/1] a: a/first: glass_beads 50.4 mg of 50.0 mg (+0.4 mg), in tolerance; a/second: glass_beads 47.0 mg of "
-        "50.0 mg (-3.0 mg), under; in 3 pulses, 1 min 00 s: under",
+        "50.0 mg (-3.0 mg), under; in 6 pulses, 1 min 00 s: under",
     ]
 
 

@@ -73,7 +73,9 @@ def test_the_page_says_how_much_powder_is_used_and_when_a_person_is_needed(made:
     assert odds.began_s[swap[1]].middle < asked.middle, "what is left in the cone is returned first"
     assert format_duration(asked.middle) in swap[0]
     assert any(row[0] == "if a sample fails" and "dose.overshoot" in row[2] for row in persons)
-    assert "moments that need a person" in tables.text, "who comes once may stay for several"
+    assert (plan.swaps, sum(person.job is not None for person in plan.persons)) == (1, 1)
+    assert "sheet swap between samples" in tables.text
+    assert "moment that needs a person" in tables.text, "who comes once may stay for several"
 
 
 @pytest.fixture

@@ -57,7 +57,7 @@ def test_a_number_with_a_unit_is_read_in_the_fields_unit(text: str, unit: Unit, 
         ("5 stones", MASS, "'stones' is no unit known here"),
         ("5 nan", MASS, "'nan' is no unit known here"),
         ("1,5 g", MASS, "'1,5 g' has a comma; decimals are written with a point"),
-        ("1.234,5 g", MASS, "'1.234,5 g' is no mass"),
+        ("12,34,5 g", MASS, "'12,34,5 g' is no mass"),
         ("heavy", MASS, "'heavy' is no mass"),
         ("", MASS, "'' is no mass"),
         ("nan", MASS, "'nan' is no mass"),
@@ -70,6 +70,12 @@ def test_what_is_no_such_quantity_is_refused_in_words(text: str, unit: Unit, sai
     with pytest.raises(ValueError, match=r"write an? ") as caught:
         parse(text, unit)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["1.234,5 g", "1,234.5 mg", "1 234 mg", "1\u202f234,5", "1'234.5 mg", "1.234.567 mg"])
+def test_a_sign_for_thousands_is_called_one(text: str) -> None:
+    with pytest.raises(ValueError, match="has a sign for thousands; numbers are written without"):
+        parse(text, MASS)
 
 
 def is_read_or_refused(text: str, unit: Unit) -> bool:

@@ -61,6 +61,7 @@ def test_the_shipped_recipes_have_no_problem(starter: object) -> None:
         ),
         ("{id: a, mass: 50 mg, repeat: 0}", "7:34: 'repeat': '0' is no number of samples; 1 to 20000"),
         ("{id: [a, b], mass: [1 mg, 2 mg, 3 mg]}", "7:24: 'mass' lists 3 values, but 'id' lists 2"),
+        ("{id: [a, b], mass: [1 mg]}", "7:24: 'mass' lists 1 value, but 'id' lists 2"),
         ("{id: [a, b], mass: 50 mg, repeat: 2}", "7:39: 'repeat' and a list stand in one sample"),
         ("{id: a, mass: []}", "7:5: an empty list gives no sample"),
         ("{table: missing.csv}", "7:13: '"),

@@ -1,5 +1,6 @@
 """Whole batches on simulated devices: verdicts, failure policies, stopping, and safe ends."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.resume import checked_history
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.run.session import Session
 
@@ -151,6 +153,9 @@ def test_skip_sample_goes_on_with_the_next(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("skip_sample", "stop"), plant="test_run_batch:Gusher")
     assert ran.result.exit_code == ExitCode.FLAGGED
     assert [sample.verdict for sample in ran.result.samples] == ["skipped", "skipped"]
+    not_good = "not good are 'a' (skipped, dose.overshoot), 'b' (skipped, dose.overshoot); for these begin a new run"
+    with pytest.raises(SourceError, match=re.escape(f"the run is complete: it does nothing again, and {not_good}")):
+        checked_history(ran.journal)
 
 
 def test_redo_doses_a_new_container_once_and_then_flags(tmp_path: Path) -> None:

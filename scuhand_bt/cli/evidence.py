@@ -22,6 +22,7 @@ from scuhand_bt.cli.shared import (
 )
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
+from scuhand_bt.quantity import counted
 
 SHOWN_LINES = 10
 
@@ -102,7 +103,7 @@ def ledger(
         err.print(Text(f"The lab's ledger is not as it was written: {problem}."))
         raise typer.Exit(EXIT_ALTERED)
     if not as_json:
-        out.print(f"{len(found.kept)} lines, each fits the one before it. Head of the ledger: {found.head}")
+        out.print(f"{counted(len(found.kept), 'line')}, each fits the one before it. Head of the ledger: {found.head}")
         if head is not None:
             out.print("It has had the head that you noted: nothing before that was altered since.")
 

@@ -72,6 +72,8 @@ class History:
     """By name and attempt."""
     samples: dict[tuple[str, int], SampleResult] = field(default_factory=dict)
     """The results of finished attempts, by sample and attempt."""
+    told: dict[str, SampleResult] = field(default_factory=dict)
+    """What was said last of each sample, also of one that was never begun."""
     answers: dict[tuple[str, int], str] = field(default_factory=dict)
     """What a person chose for a failed attempt (`on_failure: ask`), by sample and attempt."""
     state: dict[str, Any] = field(default_factory=dict)
@@ -133,8 +135,10 @@ def history_of(database: sqlite3.Connection) -> History:
                 history.begun = event
             case JobStarted():
                 jobs[seq] = history.jobs[event.name, event.attempt] = JobHistory(seq, time_s)
-            case SampleResult() if event.was_tried:
-                history.samples[event.id, event.attempt] = event
+            case SampleResult():
+                history.told[event.id] = event
+                if event.was_tried:
+                    history.samples[event.id, event.attempt] = event
             case Chosen():
                 history.answers[event.sample, event.attempt] = event.action
             case NotResumable():

@@ -97,7 +97,8 @@ class SampleResult(Event):
     """The simulation's, of what is in the container, for judging; None on a real cell."""
     attempt: int = 1
     doses: tuple[DoseResult, ...] = ()
-    """Every powder lot in every container; what stands above is of the one that the recipe asks for, or the last."""
+    """Every powder lot in every container. Masses and controller above are of the one that the recipe asks for, or the
+    last; pulses, scoops, vibration and duration of all."""
     recorded: tuple[ValueRecorded, ...] = ()
     """What its workflow has recorded of it (`record`)."""
     composition: Composition | None = None

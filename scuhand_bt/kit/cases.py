@@ -11,7 +11,7 @@ from scuhand_bt.kit.case_files import Case, Expectation
 from scuhand_bt.kit.rehearsed import Rehearsed, Rehearser, leaves_of
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import SourceError
-from scuhand_bt.quantity import parse
+from scuhand_bt.quantity import counted, parse
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.substitutes import Substitutes
 from scuhand_bt.tree.wires import QUANTITIES, of_field
@@ -53,7 +53,7 @@ def _against(expect: Expectation, ran: Rehearsed, lab: Lab) -> list[str]:
         wrong.append(f"expected the calls {', '.join(expect.calls)}; there were {', '.join(ran.skills)}")
     for skill, times in expect.times.items():
         if (count := ran.skills.count(skill)) != times:
-            wrong.append(f"expected {times} calls of {skill}, there were {count}")
+            wrong.append(f"expected {counted(times, 'call')} of {skill}, came to {count}")
     for name, wanted in expect.values.items():
         wrong += _against_value(name, wanted, ran, lab)
     recorded = {one.name: one for one in ran.sample.recorded}

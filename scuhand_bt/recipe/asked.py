@@ -5,6 +5,7 @@ a later dose counts in place of the asked one. What is known only when it runs i
 run/outcome.py).
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from scuhand_bt.problems import Mark, Problems
@@ -93,4 +94,4 @@ def _is_wider(aim: Pour, ask: Ask) -> bool:
     """Whether a dose of the asked mass is told to be coarser than asked."""
     if aim.mass_mg is None or aim.tolerance_mg is None or ask.tolerance_mg is None:
         return False
-    return aim.tolerance_mg > ask.tolerance_mg * (1.0 + 1e-9)
+    return aim.tolerance_mg > ask.tolerance_mg and not math.isclose(aim.tolerance_mg, ask.tolerance_mg)

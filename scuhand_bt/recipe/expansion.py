@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from scuhand_bt.problems import Mark, Problems, shorten
+from scuhand_bt.quantity import counted
 from scuhand_bt.recipe.table import read_table
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse
 
@@ -87,7 +88,7 @@ def _expand_lists(entry: Entries, problems: Problems, list_inputs: Collection[st
             first = next(iter(lists))
             problems.add(
                 entry.values[key].mark,
-                f"'{key}' lists {len(items)} values, but '{first}' lists {count}",
+                f"'{key}' lists {counted(len(items), 'value')}, but '{first}' lists {count}",
                 code="uneven-lists",
             )
             return

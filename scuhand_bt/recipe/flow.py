@@ -18,12 +18,13 @@ from scuhand_bt.events.doses import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.recipe.known import Names, Ranges, is_known, known
-from scuhand_bt.recipe.pour import Flow, Pour, sources_of
+from scuhand_bt.recipe.pour import Flow, Pour, Unfit, sources_of
 from scuhand_bt.skill import Condition, Skill, SkillFailed
 from scuhand_bt.specs import Container, Keeping, Powder, Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range
 from scuhand_bt.tree.library import Library, Percent, parameters_of, resolve_percent
+from scuhand_bt.tree.wires import WireType
 from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode, walk
 from scuhand_bt.yaml_source import Node
 
@@ -67,13 +68,14 @@ def flow_of(workflow: str, inputs: Mapping[str, Any], library: Library, problems
     names = Names(Scope(dict(inputs)), {}, {key: key for key in inputs})
     reached = follower.of(library.workflows[workflow].tree, names, begin, None)
     follower.refuse_mere_scoops()
-    return Flow(tuple(follower.pours), reached.last, reached.leaves)
+    return Flow(tuple(follower.pours), reached.last, reached.leaves, tuple(follower.unfit.values()))
 
 
 class _Follower:
     def __init__(self, library: Library, sources: Mapping[str, Source], problems: Problems) -> None:
         self.sources = sources
         self.pours: list[Pour] = []
+        self.unfit: dict[Mark, Unfit] = {}
         self._library = library
         self._problems = problems
         self._scoops: dict[str, Call] = {}
@@ -92,10 +94,13 @@ class _Follower:
         if isinstance(node, Decorator):
             if node.kind == "for_each":
                 return self._of_for_each(node, names, reached, at)
+            counts = self._known(node.arguments, names)
+            refused = {key: f"'{value:g}' is not accepted; more than 0" for key, value in counts.items() if value <= 0}
+            self._note_unfit(node, node.kind, refused, names)
             if node.kind == "retry" and self._may_scoop(node.child):
                 return self._of_try(node.child, names, reached, at)
             after = self.of(node.child, names, reached, at)
-            if node.kind == "repeat" and self._known(node.arguments, names).get("times") != 1:
+            if node.kind == "repeat" and counts.get("times") != 1:
                 for pour in after.surely - reached.surely:
                     self._warn_of_vain(pour, "from its second round on this dose")
             return reached | after if node.kind in ("optional", "invert") else after
@@ -260,6 +265,7 @@ class _Follower:
 
     def _of_skill(self, node: Call, names: Names, given: Mapping[str, Any], reached: _Reached, at: Call) -> _Reached:
         skill = self._library.skills[node.name]
+        self._note_unfit(node, node.name, _refused(given, self._library.wires(node)), names)
         if Code.SOURCE_EMPTY in skill.raises:
             self._scoops.update({source: at for source in reached.sources if source})
             self._scooped += 1
@@ -318,6 +324,14 @@ class _Follower:
             what = f"{which} gives nothing: so much of its lot is in its container by then, which counts"
             self._problems.warn(pour.mass_mark, what, "write what is to be there in all", code="lot-twice")
 
+    def _note_unfit(self, node: Call | Decorator, name: str, refused: Mapping[str, str], names: Names) -> None:
+        """Values that would fail where they are used. Of literals the check of the workflow tells."""
+        for key, why in refused.items():
+            argument = node.arguments[key]
+            if not isinstance(argument, Node):
+                what = f"'{key}' of '{name}': {why}"
+                self.unfit[argument.mark] = Unfit(what, argument.mark, names.input_in(node, key))
+
     def _kept_by(self, node: Call, given: Mapping[str, Any]) -> frozenset[Keeping | None]:
         """What a skill that empties the cone may be told of keeping; any, where only the run can tell."""
         field = self._library.skills[node.name].model_fields.get(KEEPING)
@@ -364,6 +378,18 @@ def _target_of(skill: type[Skill[Any]]) -> str | None:
     parameters = parameters_of(skill).items()
     masses = [key for key, one in parameters if one.wire.name == "Mass" and (one.required or key == TARGET)]
     return TARGET if TARGET in masses else masses[0] if len(masses) == 1 else None
+
+
+def _refused(given: Mapping[str, Any], wires: Mapping[str, WireType]) -> dict[str, str]:
+    """What a skill does not accept of the values that it is given, and why."""
+    refused: dict[str, str] = {}
+    for key, value in given.items():
+        try:
+            if isinstance(value, int | float | str):
+                wires[key].read(value)
+        except ValueError as error:
+            refused[key] = str(error)
+    return refused
 
 
 TOLD_BEFORE = "dispense a mass that is written, an input of the workflow, or one with a bound: min(…, 100 mg)"

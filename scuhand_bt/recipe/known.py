@@ -9,7 +9,7 @@ from scuhand_bt.tree.build import Scope
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range, Reference
 from scuhand_bt.tree.grammar import PARAMETERS
 from scuhand_bt.tree.library import Library, literal, resolve_percent
-from scuhand_bt.tree.workflow import Argument, Call, Value, references_of
+from scuhand_bt.tree.workflow import Argument, Call, Decorator, Value, references_of
 from scuhand_bt.yaml_source import Node
 
 Ranges = dict[tuple[str, ...], Range]
@@ -66,8 +66,8 @@ class Names:
             return self.marks.get(argument.name, argument.mark)
         return argument.mark
 
-    def input_in(self, node: Call, key: str) -> str | None:
-        """The sample's input that a call is given as it is."""
+    def input_in(self, node: Call | Decorator, key: str) -> str | None:
+        """The sample's input that a call, or another node, is given as it is."""
         argument = node.arguments.get(key)
         is_whole = isinstance(argument, Reference) and not argument.attributes
         return self.inputs.get(argument.name) if isinstance(argument, Reference) and is_whole else None

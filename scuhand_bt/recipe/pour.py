@@ -51,6 +51,16 @@ class Pour:
 
 
 @dataclass(frozen=True)
+class Unfit:
+    """A value that a skill or node is given and does not accept, and where it is given that."""
+
+    what: str
+    mark: Mark
+    input: str | None
+    """The sample's input that it is, if it is one."""
+
+
+@dataclass(frozen=True)
 class Flow:
     """All doses of a workflow in their order, and those that may be the last of their place."""
 
@@ -58,6 +68,7 @@ class Flow:
     last: frozenset[Pour] = frozenset()
     leaves: frozenset[Keeping | None] = frozenset({None})
     """How what is left in the cone may be dealt with in the end; None where nothing empties that."""
+    unfit: tuple[Unfit, ...] = ()
 
 
 def sources_of(inputs: Mapping[str, Any]) -> list[Source]:

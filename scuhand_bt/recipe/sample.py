@@ -190,6 +190,8 @@ def check_sample(
     if tolerance_mg is not None and tolerance_mg < balance.least_tolerance_mg:
         what = f"the tolerance {tolerance_mg:g} mg cannot be told with a readability of {balance.readability_mg:g} mg"
         problems.add(at("tolerance"), what, f"at least {balance.least_tolerance_mg:g} mg", code="fine-tolerance")
+        if tolerance_mg <= 0:
+            return
     elif mass_mg is not None and tolerance_mg is not None and mass_mg <= tolerance_mg:
         what = f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg"
         problems.add(at("mass", "tolerance"), what, code="wide-tolerance")
@@ -198,6 +200,9 @@ def check_sample(
             what = f"the mass taken from '{pour.source}' is {pour.most_mg:g} mg"
             problems.add(at(pour.mass_input or "mass"), what, "more than 0", code="bad-mass")
             return
+    for one in sample.flow.unfit:
+        is_told = one.input is not None and (one.input in own or one.input in shared)
+        problems.add(at(one.input or "") if is_told else one.mark, one.what, code="bad-value")
     for key, container in each_of(sample.inputs):
         if isinstance(container, Container):
             pours = sample.filled.get(container.id, ())

@@ -36,6 +36,7 @@ def preview_page(
     """
     motions = _motions(plan, lab)
     recipe, sources = plan.recipe, plan.recipe.sources.values()
+    moments = sum(person.job is not None for person in plan.persons)
     return rendered(
         "preview.html",
         recipe=recipe.name,
@@ -46,8 +47,8 @@ def preview_page(
         figures=[
             ("time", _range(odds.duration_s, format_duration)),
             ("samples in tolerance", f"{odds.good:.1f} of {len(recipe.samples)}"),
-            ("sheet swaps between samples", str(plan.swaps)),
-            ("moments that need a person", str(sum(person.job is not None for person in plan.persons))),
+            ("sheet swap between samples" if plan.swaps == 1 else "sheet swaps between samples", str(plan.swaps)),
+            ("moment that needs a person" if moments == 1 else "moments that need a person", str(moments)),
         ],
         jobs=list(_jobs(plan, odds)),
         powder_columns=_powder_columns(odds),

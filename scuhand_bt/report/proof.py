@@ -9,6 +9,7 @@ from scuhand_bt.journal.archive import summary_of
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.lab_state.ledger import Kept, LedgerFound
+from scuhand_bt.quantity import counted
 
 NO_CHAIN = "an older scuhand-bt wrote it, without a chain: whether it was altered cannot be told"
 
@@ -102,11 +103,13 @@ def _tell_of_ledger(
         return
     last = lines[-1].line
     rest = contents.verified.entries - last.entries
+    lines_kept = counted(len(ledger.kept), "line")
     proof.proven.append(
-        f"The lab's ledger ({len(ledger.kept)} lines, whole, head {ledger.head}) has its head of {last.at}, after "
+        f"The lab's ledger ({lines_kept}, whole, head {ledger.head}) has its head of {last.at}, after "
         f"entry {last.entries}: nothing until there was altered or cut off since, unless the ledger was rewritten too."
     )
     if key is not None:
         proof.proven.append("What the ledger has of it is signed with this key: only its owner can have written that.")
     if rest:
-        proof.open.append(f"The last {rest} entries are not in the ledger: the run did not end by itself, or goes on.")
+        which = "The last entry is" if rest == 1 else f"The last {rest} entries are"
+        proof.open.append(f"{which} not in the ledger: the run did not end by itself, or goes on.")

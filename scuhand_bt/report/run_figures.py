@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from scuhand_bt.journal.results import DoseResult, SampleResult
+from scuhand_bt.quantity import counted
 from scuhand_bt.report.dose_curves import CurveOfDose, Point
 from scuhand_bt.report.svg import INK, as_svg, drawing, new_figure, plain_axes
 from scuhand_bt.report.time_spent import ACTIVITIES, Activity, JobTime
@@ -62,7 +63,7 @@ def errors_figure(runs: Sequence[Sequence[SampleResult]]) -> str:
         else:
             axes.set_xlabel("dose")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=6, frameon=False, fontsize=8)
-        return as_svg(figure, f"The error of {len(order)} doses, each as a multiple of its tolerance")
+        return as_svg(figure, f"The error of {counted(len(order), 'dose')}, each as a multiple of its tolerance")
 
 
 def times_figure(jobs: Sequence[JobTime]) -> str:
@@ -95,7 +96,9 @@ def times_figure(jobs: Sequence[JobTime]) -> str:
         axes.set_ylabel("run time [s]")
         axes.margins(x=0.01)
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=5, frameon=False, fontsize=8)
-        return as_svg(figure, f"What the time of {len(jobs)} jobs was spent on; the table below has the numbers")
+        return as_svg(
+            figure, f"What the time of {counted(len(jobs), 'job')} was spent on; the table below has the numbers"
+        )
 
 
 class CurveFigures:

@@ -77,6 +77,7 @@ def sample_result(
     """
     sample = replace(sample, inputs=inputs_for(sample, attempt))
     last = list({(dose.container, dose.lot): dose for dose in so_far.doses}.values())
+    cost = {dose.container: dose for dose in so_far.doses}.values()  # a dose counts all that came before into its own
     found = tuple(_dose_result(dose, sample, true_mg.get(dose.container)) for dose in last)
     asked = {number: ask for number, dose in enumerate(found) if (ask := _asked(dose, sample)) is not None}
     number = max(asked, default=len(found) - 1)
@@ -91,9 +92,9 @@ def sample_result(
         error_mg=main.dispensed_mg - target_mg if main and target_mg is not None else None,
         uncertainty_mg=main.uncertainty_mg if main else None,
         tolerance_mg=main.tolerance_mg if main else sample.tolerance_mg,
-        pulses=of_main.pulses if of_main else 0,
+        pulses=sum(dose.pulses for dose in cost),
         scoops=scoops,
-        vibration_s=of_main.vibration_s if of_main else 0.0,
+        vibration_s=sum(dose.vibration_s for dose in cost),
         duration_s=duration_s,
         controller=of_main.controller if of_main else None,
         verdict=verdict

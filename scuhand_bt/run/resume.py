@@ -15,6 +15,7 @@ from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.lab import TEST_SUFFIX, Lab, files_of, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.quantity import listed
 from scuhand_bt.recipe.plan import Job, Plan, recoveries, sheet_changes
 from scuhand_bt.recipe.sample import Sample
 
@@ -75,10 +76,19 @@ def checked_history(path: Path) -> History:
     if history.begun is None:
         raise _refused(path, "nothing had moved when the run ended; start it anew")
     if history.is_complete:
-        raise _refused(path, "the run is complete: nothing is left to do")
+        raise _refused(path, f"the run is complete: {_left_of_complete(history)}")
     if history.lost_world:
         raise _refused(path, f"its simulated world could not be kept: {history.lost_world}; start it anew")
     return history
+
+
+def _left_of_complete(history: History) -> str:
+    """What a run that has come to its end has not made good, and how that is done all the same."""
+    bad = [one for one in history.told.values() if not one.is_good]
+    if not bad:
+        return "nothing is left to do"
+    named = listed([f"'{one.id}' ({', '.join(filter(None, (one.verdict, one.code)))})" for one in bad], "sample")
+    return f"it does nothing again, and not good are {named}; for these begin a new run, by a recipe with them alone"
 
 
 def its_places(path: Path, run: RunBegun) -> tuple[Path, Path]:
