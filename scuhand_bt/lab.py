@@ -162,7 +162,7 @@ def read_lab(folder: Path) -> Lab:
     cell, library, has_cell = _read_bench(folder, problems, broken)
     files = files_of(folder / "skills", "*.py")
     loaded = load_skills(folder, files, cell.device_names, problems, broken, starter_lab())
-    library.skills, library.facts = loaded.skills, loaded.facts
+    library.skills, library.facts, library.taken_there = loaded.skills, loaded.facts, loaded.taken_there
     library.workflows = _load_workflows(folder / "trees", problems, broken)
     _check_names(library, folder, problems)
     library.skills = {**library.skills, RECORD: Record}

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 import sqlite3
 from contextlib import closing
 from itertools import pairwise
@@ -109,6 +110,52 @@ def test_show_tells_what_happened(run: Path, command: Call) -> None:
     assert "failed, hand.no_flow, no powder comes" in out
     assert "dose: 20.3 mg of 20.0 mg ± 0.05 mg, in tolerance (paper)" in out
     assert "entries, whole; head " in out
+
+
+HALTED = """\
+from scuhand_bt.skill import Cell, Milligrams, Seconds, Skill, Steps, pause
+
+
+class Hold(Skill[None]):
+    \"\"\"Wait, and note when that is over.\"\"\"
+
+    interrupted = "repeat"
+    duration_s: Seconds
+    masses: tuple[Milligrams, ...] = ()
+
+    def run(self, cell: Cell) -> Steps[None]:
+        try:
+            yield from pause(cell, self.duration_s)
+        finally:
+            cell.record.note("lab.over", {"after": self.duration_s})
+"""
+BESIDE = """\
+workflow: beside
+inputs: {masses: [Mass]}
+tree:
+  sequence:
+    - optional: {timeout: {duration: 2 s, child: {parallel: [{hold: {duration: 9 s}}, {hold: {duration: 1 s}}]}}}
+    - hold: {duration: 1 s, masses: $masses}
+    - record: {sum: sum($masses), n: count($masses)}
+"""
+
+
+def test_show_tells_units_and_what_a_halted_action_notes_as_its_doing(tmp_path: Path, command: Call) -> None:
+    lab = make_lab(tmp_path / "lab", skills__hold=HALTED, trees__beside=BESIDE)
+    recipe = "recipe: r\nworkflow: beside\nsamples: [{id: a, masses: [[20 mg, 0.03 g]]}]\n"
+    shown = command("show", dry_run(tmp_path, recipe, lab=lab).journal)[1].splitlines()
+    told = [line.split(" s  ", 1)[1] for line in shown if re.search("s  (hold|lab.over|record)", line)]
+    assert told == [
+        "hold(duration 9 s): 2.0 s, halted",
+        "lab.over: after 9",
+        "hold(duration 1 s): 1.0 s, done",
+        "lab.over: after 1",
+        "hold(duration 1 s, masses [20, 30] mg): 1.0 s, done",
+        "lab.over: after 1",
+        "record(sum 50 mg, n 2): 0.0 s, done",
+        "recorded: sum 50 mg",
+        "recorded: n 2",
+    ]
 
 
 def test_show_tells_of_questions_pauses_and_resumptions(tmp_path: Path, command: Call) -> None:

@@ -89,6 +89,26 @@ def test_a_skill_of_another_version_is_told_where_there_is_one_of_this(
     assert "another version" not in own.message
 
 
+def test_a_file_of_another_version_that_skills_share_is_named(lab_folder: LabFolder) -> None:
+    lab_folder.replace("skills/_opening.py", "import Cell", "import Sell as Cell")
+    found = {Path(one.mark.file).name: one.message for one in lab_folder.load().problems}
+    assert {"open_cone.py", "discard.py"} <= found.keys(), "the one imports it, the other what imports it"
+    assert all("if it came with another version, take _opening.py from" in message for message in found.values())
+
+
+def test_a_skill_of_another_version_is_told_where_a_workflow_gives_it_what_it_does_not_take(
+    lab_folder: LabFolder,
+) -> None:
+    lab_folder.replace("skills/return_leftover.py", "    keep: ", "    kept: ")
+    lab_folder.replace("skills/return_leftover.py", "self.keep", "self.kept")
+    lab_folder.replace("trees/fill_crucible.yaml", "return_leftover: {", "return_leftover: {keeep: any, ")
+    found = [one for one in lab_folder.problems() if "has no parameter" in one]
+    told = [one for one in found if "another version, take return_leftover.py from a new lab" in one]
+    assert len(told) >= 2
+    (own,) = (one for one in found if one not in told)
+    assert own.startswith("trees/fill_crucible.yaml")
+
+
 def test_another_powder_of_a_file_with_a_wrong_one_can_be_used(
     command: Call, lab_folder: LabFolder, recipe: Path
 ) -> None:

@@ -26,6 +26,14 @@ from scuhand_bt.run.simulation import DryRun
 RECIPE = "recipe: walk\nworkflow: mine\nsamples:\n  - {id: a}\n"
 WALK = "workflow: mine\ntree:\n  sequence:\n    - tour:\n    - wait: {duration: 1 s}\n    - park:\n"
 BESIDE = "workflow: mine\ntree:\n  parallel:\n    - wait: {duration: 1 s}\n    - tour:\n"
+BESIDE_IN_TIME = (
+    "workflow: mine\ntree:\n  parallel:\n"
+    "    - timeout: {duration: 0.3 s, child: {wait: {duration: 0.5 s}}}\n    - tour:\n"
+)
+THEN_LATE = (
+    "workflow: mine\ntree:\n  sequence:\n"
+    "    - wait: {duration: 0.1 s}\n    - optional: {timeout: {duration: 0.3 s, child: {wait: {duration: 9 s}}}}\n"
+)
 IN_TIME = "workflow: mine\ntree:\n  timeout: {duration: 0.3 s, child: {wait: {duration: 0.1 s}}}\n"
 
 
@@ -88,7 +96,7 @@ def test_every_action_begins_after_the_person_has_said_go_to_it(tmp_path: Path) 
     assert told[2::3] == ["tour", "wait", "park"]
     assert [question.split(".")[0] for question in told[0::3]] == [
         "Next: tour",
-        "Next: wait (duration: 1)",
+        "Next: wait (duration: 1 s)",
         "Next: park",
     ]
 
@@ -149,3 +157,15 @@ def _fastest(motion: Trajectory) -> Any:
     times_s, step_s = np.linspace(0.0, motion.duration_s, 400, retstep=True)
     joints = np.array([motion.sample(time_s)[:JOINTS] for time_s in times_s])
     return np.abs(np.diff(joints, axis=0)).max(axis=0) / step_s
+
+
+def test_no_timeout_ends_what_goes_on_beside_a_question(tmp_path: Path) -> None:
+    walk = Walk(tmp_path, BESIDE_IN_TIME)
+    assert walk.step(Answering(after_s=0.6)).exit_code == 0
+
+
+def test_a_timeout_has_its_own_time_after_a_person_has_thought(tmp_path: Path) -> None:
+    walk = Walk(tmp_path, THEN_LATE)
+    assert walk.step(Answering(after_s=0.4)).exit_code == 0
+    (late,) = (row for row in read(walk.journal, "action") if row["outcome"] == "halted")
+    assert 0.3 <= late["ended_s"] - late["started_s"] < 0.35

@@ -1,5 +1,6 @@
 """What every node of a workflow does when it runs: on the run's clock, with devices that only report."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,10 @@ from scuhand_bt.clock import Wake
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import JobEnded
 from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
 from scuhand_bt.report.watching import tree_of
+from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.runner import SkillBug
 from scuhand_bt.skill import Condition, Seconds, Skill, Steps
 
@@ -308,6 +311,12 @@ def test_a_timeout_halts_its_child_at_its_time_on_the_runs_clock(bench: Bench) -
     assert bench.actions() == [("hand", "halted")]
 
 
+def test_that_a_timeout_has_ended_its_child_is_written_once_it_is_halted(bench: Bench, tmp_path: Path) -> None:
+    bench.run("timeout: {duration: 5 s, child: {hand: {duration: 1 h}}}", SKILLS)
+    kinds = [row["kind"] for row in read(tmp_path / "journal.sqlite", "entry")]
+    assert kinds[-3:] == ["action_started", "action_ended", "decided"]
+
+
 def test_a_child_that_ends_in_time_is_left_alone(bench: Bench) -> None:
     tree = "sequence: [{timeout: {duration: 5 s, child: {work: }}}, {work: {name: next, duration: 60 s}}]"
     assert bench.run(tree, SKILLS).failure is None
@@ -332,6 +341,46 @@ timeout:
 """
     assert bench.run(tree, SKILLS).failure is None
     assert bench.log[-1] == (3.0, "other ends")
+
+
+class TimePasses(VirtualClock):
+    """Virtual time that goes on while a run is paused, as real time does."""
+
+    def hold(self, wakes: Sequence[Wake]) -> None:
+        self.wait(wakes)
+
+
+def paused(bench: Bench, *, from_s: float, until_s: float) -> None:
+    bench.cell.clock = TimePasses(bench.agenda)
+    bench.agenda.at(from_s, lambda: bench.control.wish("pause"))
+    bench.agenda.at(until_s, lambda: bench.control.wish("continue"))
+
+
+def test_a_timeout_counts_no_pause_neither_one_within_it_nor_one_before(bench: Bench) -> None:
+    paused(bench, from_s=1.0, until_s=50.0)
+    first = "timeout: {duration: 4 s, child: {sequence: [{work: {duration: 2 s}}, {work: {duration: 1 s}}]}}"
+    tree = f"sequence: [{{{first}}}, {{timeout: {{duration: 4 s, child: {{work: {{name: slow, duration: 1 h}}}}}}}}]"
+    outcome = bench.run(tree, SKILLS)
+    assert outcome.failure is not None
+    assert outcome.failure.code == "workflow.timeout"
+    assert bench.log[2:] == [(50.0, "work begins"), (51.0, "work ends"), (51.0, "slow begins"), (55.0, "slow halted")]
+
+
+def test_a_timeout_counts_no_time_in_which_a_pause_keeps_its_next_action_from_beginning(bench: Bench) -> None:
+    """The pause itself begins when what goes on beside it has ended."""
+    paused(bench, from_s=1.0, until_s=30.0)
+    within = (
+        "timeout: {duration: 5 s, child: {sequence: [{hand: {duration: 2 s}}, {hand: {name: next, duration: 2 s}}]}}"
+    )
+    assert bench.run(f"parallel: [{{arm: {{duration: 20 s}}}}, {{{within}}}]", SKILLS).failure is None
+    assert bench.log[-2:] == [(30.0, "next begins"), (32.0, "next ends")]
+
+
+def test_what_is_at_work_when_a_pause_is_wished_has_no_more_time_for_it(bench: Bench) -> None:
+    paused(bench, from_s=1.0, until_s=30.0)
+    tree = "fallback: [{timeout: {duration: 5 s, child: {arm: {duration: 1 h}}}}, {hand: {name: next}}]"
+    assert bench.run(tree, SKILLS).failure is None
+    assert bench.log[1:3] == [(5.0, "work halted"), (30.0, "next begins")]
 
 
 # --- while

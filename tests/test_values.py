@@ -117,6 +117,15 @@ def test_a_node_whose_value_cannot_be_worked_out_fails_as_any_other(bench: Bench
     assert names(bench)[-2:] == ["yes", "else"]
 
 
+def test_a_workflow_whose_result_cannot_be_worked_out_has_failed_and_is_tried_again(bench: Bench) -> None:
+    inner = "workflow: inner\nresult: 1 mg * (1 mg / $zero)\ntree: {give: {mass: 0 mg, as: zero}}"
+    tree = "retry: {attempts: 2, on: [workflow.bad_value], child: {inner: {as: mass}}}"
+    ended = bench.run(tree, SKILLS, {"inner": inner})
+    assert ended.failure is not None
+    assert ended.failure.code == "workflow.bad_value"
+    assert names(bench) == ["0", "0"]
+
+
 # --- choices
 
 
@@ -171,6 +180,25 @@ sequence:
     assert names(bench)[:3] == ["fails: hand.no_flow", "fails: hand.no_flow", "fails: source.empty"]
 
 
+def test_a_choice_fails_by_the_way_that_it_has_gone_this_time(bench: Bench) -> None:
+    tree = """\
+sequence:
+  - give: {mass: 1 mg, as: mass}
+  - retry:
+      attempts: 3
+      on: [hand.no_flow]
+      child:
+        if:
+          when: $mass < 5 mg
+          then: {sequence: [{give: {mass: 9 mg, as: mass}}, {fail: {code: hand.no_flow}}]}
+          else: {fail: {code: source.empty}}
+"""
+    ended = bench.run(tree, SKILLS)
+    assert ended.failure is not None
+    assert ended.failure.code == "source.empty"
+    assert names(bench) == ["1", "9", "fails: hand.no_flow", "fails: source.empty"]
+
+
 # --- lists
 
 
@@ -223,6 +251,12 @@ def test_a_fallback_with_codes_begins_anew_and_goes_on_where_it_was(bench: Bench
         *[(0.0, "fails: source.empty"), (2.0, "1")],
         *[(2.0, "fails: source.empty"), (4.0, "1")],
     ]
+
+
+def test_a_fallback_with_codes_does_not_go_on_after_a_success(bench: Bench) -> None:
+    tree = "fallback: {on: [workflow.inverted], children: [{give: {mass: 1 mg, duration: 1 s}}, {say: }]}"
+    assert bench.run(tree, SKILLS).failure is None
+    assert names(bench) == ["1"]
 
 
 # --- a row of its own

@@ -202,7 +202,8 @@ def _happenings(contents: Contents) -> Iterator[dict[str, Any]]:
             )
         elif kind == ActionStarted.KIND:
             within[seq] = []
-            within[job].append({**happened, "kind": "action", **actions.of(seq), "happened": within[seq]})
+            action = {**happened, "kind": "action", **actions.of(seq), "units": row["payload"].get("units", {})}
+            within[job].append({**action, "happened": within[seq]})
         elif kind not in (*_TOLD_ELSEWHERE, RunBegun.KIND, SampleResult.KIND):
             happened["values"] = row["payload"]
             around = within.get(row["action"], within.get(job))

@@ -8,7 +8,7 @@ Fields with a default are absent in journals of before they were written.
 
 from typing import ClassVar
 
-from pydantic import JsonValue
+from pydantic import Field, JsonValue
 
 from scuhand_bt.events.entry import Event, Text, Values
 from scuhand_bt.events.weighings import Weighing
@@ -119,6 +119,8 @@ class ActionStarted(Event):
     skill: str
     inputs: dict[str, JsonValue]
     """Its parameters; things of the lab by their names."""
+    units: dict[str, str] = Field(default_factory=dict)
+    """Of those that are quantities."""
 
 
 class ActionEnded(Event):

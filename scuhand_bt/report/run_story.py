@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from scuhand_bt.events.doses import Dose, Pulsed
+from scuhand_bt.events.doses import Dose, Pulsed, ValueRecorded
 from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
@@ -47,7 +47,8 @@ def told(happened: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
         again = f", attempt {happened['attempt']}" if happened["attempt"] > 1 else ""
         yield f"{mark}{happened['name']} ({happened['workflow']}{again}), {happened['at']}: {_ending(happened)}"
     elif kind == "action":
-        inputs = ", ".join(f"{key} {_plain(value)}" for key, value in happened["inputs"].items())
+        units = happened["units"]
+        inputs = ", ".join(_given(key, value, units.get(key, "")) for key, value in happened["inputs"].items())
         yield f"{mark}{happened['skill']}({inputs}): {_ending(happened)}"
     else:
         yield f"{mark}{_event(kind, happened['values'])}"
@@ -76,6 +77,8 @@ def _event(kind: str, values: Mapping[str, Any]) -> str:
         case Dose():
             reached = f"{format_mass(event.dispensed_mg)} of {format_mass(event.target_mg)}"
             return f"dose: {reached} ± {event.uncertainty_mg:.2f} mg, {event.verdict} ({event.controller})"
+        case ValueRecorded():
+            return f"recorded: {_given(event.name, event.value, event.unit)}"
         case Asked():
             return f"asked: {event.question} [{'/'.join(event.choices)}]"
         case Answered():
@@ -96,5 +99,15 @@ def _by(event: Answered | Paused | Continued | Ended) -> str:
     return "" if event.by is None else f", by {event.by}" + (", with PIN" if event.signed else "")
 
 
+def _given(name: str, value: object, unit: str) -> str:
+    """An input of an action; of `record` each is a value with its unit."""
+    match value:
+        case {"value": value, "unit": str(unit)}:
+            pass
+    return f"{name} {_plain(value)} {unit}".rstrip()
+
+
 def _plain(value: object) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_plain, value))}]"
     return f"{value:g}" if isinstance(value, float) else str(value)

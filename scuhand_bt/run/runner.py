@@ -26,7 +26,7 @@ from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.guarded import While
 from scuhand_bt.tree.leaf import Consent, SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
-from scuhand_bt.tree.library import Library
+from scuhand_bt.tree.library import Library, units_of
 from scuhand_bt.tree.nodes import ForEach, Repeat, Retry, Timeout, failure_of
 from scuhand_bt.tree.replay import Decision, Replay
 from scuhand_bt.tree.substitutes import Substitutes
@@ -199,7 +199,6 @@ class Runner:
                     return Outcome(fault, "tripped")
                 if control.is_stopping:  # what was paused is not set in motion again to be stopped
                     return Outcome(interrupted="stopped")
-                shared.paused_s += clock.now_s - now_s
                 shared.going_on.fire()
                 continue
             if (fault := self._wait(root, shared, wish)) is not None:
@@ -261,7 +260,9 @@ class _Recorder:
 
     def started(self, leaf: SkillLeaf, inputs: Mapping[str, Any]) -> None:
         weighs = {"hand", "balance"} <= set(leaf.skill.devices)
-        event = ActionStarted(path=leaf.path, visit=leaf.visits, skill=leaf.name, inputs=plain_values(inputs))
+        given, units = plain_values(inputs), units_of(leaf.skill)
+        units = {name: units[name] for name in given if name in units}
+        event = ActionStarted(path=leaf.path, visit=leaf.visits, skill=leaf.name, inputs=given, units=units)
         self._actions[leaf] = self._journal.action_started(event, weighs=weighs)
 
     def waits(self, leaf: SkillLeaf) -> Wake | None:

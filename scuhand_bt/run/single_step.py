@@ -7,6 +7,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.run.control import Control
 from scuhand_bt.tree.leaf import SkillLeaf, Ticking
+from scuhand_bt.tree.library import units_of
 
 CHOICES = ("go", "stop")
 
@@ -21,17 +22,14 @@ class SingleStep:
         self._cell, self._control = cell, control
         self._asked: SkillLeaf | None = None
         self._question: Steps[str] | None = None
-        self._looked_s = 0.0
 
     def waits(self, leaf: SkillLeaf, inputs: Mapping[str, Any], shared: Ticking) -> Wake | None:
         if self._asked not in (None, leaf):
             return Wake.on(shared.going_on)
-        now_s = self._cell.clock.now_s
         if self._question is None:
-            self._asked, self._looked_s = leaf, now_s
-            self._question = self._cell.operator.ask(_asked(leaf.name, inputs), CHOICES)
-        shared.paused_s += now_s - self._looked_s  # no timeout is to end what a person is still thinking about
-        self._looked_s = now_s
+            self._asked = leaf
+            self._question = self._cell.operator.ask(_asked(leaf, inputs), CHOICES)
+            shared.thinking(True)
         try:
             return next(self._question)
         except StopIteration as said:
@@ -49,12 +47,14 @@ class SingleStep:
         question, self._question, self._asked = self._question, None, None
         if question is not None:
             question.close()
+        shared.thinking(False)
         shared.going_on.fire()  # who waits to be asked for
 
 
-def _asked(name: str, inputs: Mapping[str, Any]) -> str:
-    said = ", ".join(f"{key}: {_briefly(value)}" for key, value in inputs.items())
-    return f"Next: {name}{f' ({said})' if said else ''}. May it begin? With 'stop' the run stops here."
+def _asked(leaf: SkillLeaf, inputs: Mapping[str, Any]) -> str:
+    units = units_of(leaf.skill)
+    said = ", ".join(f"{key}: {_briefly(value)} {units.get(key, '')}".rstrip() for key, value in inputs.items())
+    return f"Next: {leaf.name}{f' ({said})' if said else ''}. May it begin? With 'stop' the run stops here."
 
 
 def _briefly(value: object) -> str:

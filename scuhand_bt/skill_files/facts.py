@@ -24,6 +24,8 @@ OF_DEVICE = {
     "changer": ("container.",),
 }
 """The codes that a device, or what the engine does with it, fails with."""
+OF_INSTRUMENT = ("container.",)
+"""And one of those that a cell has beside these, whose kind a skill does not say: a scanner misses a container."""
 OF_RUNS = (Code.HAND_LEAK, Code.DOSE_RUNAWAY, Code.DOSE_OVERSHOOTS, Code.BALANCE_BRACKET_OPEN)
 """What ends a run, or is told of a sample when its job is over: no workflow and no policy meets it."""
 
@@ -83,7 +85,9 @@ def codes_of(skill: type[Skill[Any]], facts: SkillFacts | None) -> frozenset[str
     """Every code that an action of this skill may fail with: its own, its devices', and the engine's within it."""
     own = facts.raised if facts is not None else frozenset({*skill.raises, *skill.failures})
     devices = {*skill.devices, *(skill.watches if issubclass(skill, Condition) else ())}
-    prefixes = [prefix for device in devices for prefix in OF_DEVICE[device]] + (["device."] if devices else [])
+    prefixes = [prefix for device in devices for prefix in OF_DEVICE.get(device, OF_INSTRUMENT)] + (
+        ["device."] if devices else []
+    )
     engine = {
         code
         for code, failure in CATALOGUE.items()

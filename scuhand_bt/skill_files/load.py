@@ -13,7 +13,7 @@ import traceback
 import types
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,11 @@ from scuhand_bt.problems import Broken, Mark, Problem, Problems, shorten
 from scuhand_bt.skill import Condition, Skill
 from scuhand_bt.skill_files.facts import SkillFacts, Syntax, facts_of, parsed, raised_codes
 from scuhand_bt.skill_files.source_check import check_shared, check_source
+from scuhand_bt.skill_files.versions import taken_there, with_remedy
 
 PACKAGE = "scuhand_lab"
 _Text = tuple[str, bytes | None, frozenset[tuple[str, bytes | None]], frozenset[str]]
 """A skill's name, its file and those that skills share as hashes, and the devices of the cell."""
-OF_ANOTHER_VERSION = ("skill-import", "skill-arguments")
-"""What is found in a skill that goes by the engine of another version."""
 SOUND_KEPT = 256
 _SOUND: dict[_Text, SkillFacts] = {}
 """Skills in which nothing was found: looking takes longer than all else of loading a lab, and programs load labs again
@@ -41,6 +40,8 @@ class LoadedSkills:
 
     skills: dict[str, type[Skill[Any]]] = field(default_factory=dict)
     facts: dict[str, SkillFacts] = field(default_factory=dict)
+    taken_there: dict[str, frozenset[str]] = field(default_factory=dict)
+    """What the starter lab's skills of these names take, where they are others."""
 
 
 def load_skills(
@@ -64,22 +65,16 @@ def load_skills(
                 _keep_sound(text, facts)
         if facts is not None:
             loaded.facts[path.stem] = facts
-        of_file.found = [_with_remedy(one, starter) for one in of_file.found]
+        if of_file.found:
+            beside = shared.imported_by(path)
+            of_file.found = [with_remedy(one, path, beside, starter) for one in of_file.found]
         problems.found += of_file.found
         if of_file.errors or skill is None:
             broken.add("skill", path.stem, of_file.errors)
         else:
             loaded.skills[path.stem] = skill
+            loaded.taken_there[path.stem] = taken_there(path, starter)
     return loaded
-
-
-def _with_remedy(problem: Problem, starter: Path) -> Problem:
-    """What does not go with this engine, in a file that the starter lab has too, and not as it is."""
-    here, theirs = Path(problem.mark.file), starter / "skills" / Path(problem.mark.file).name
-    if problem.code not in OF_ANOTHER_VERSION or not theirs.is_file() or here.read_bytes() == theirs.read_bytes():
-        return problem
-    remedy = f"if it came with another version, take {theirs.name} from a new lab (`scuhand-bt init DIR`)"
-    return replace(problem, message=f"{problem.message}; {remedy}")
 
 
 class _Shared:
@@ -107,6 +102,17 @@ class _Shared:
             path = next(path for path in self.paths if path.stem == name)
             self._problems[name] = check_shared(syntax, module, str(path)).found
         return self._problems[name]
+
+    def imported_by(self, skill: Path) -> list[Path]:
+        """Those that a skill imports from, or one of these does."""
+        found, waiting = list[Path](), [skill]
+        while waiting:
+            with suppress(SyntaxError, ValueError, OSError):
+                names = set(_shared_by(parsed(waiting.pop())))
+                more = [path for path in self.paths if path.stem in names and path not in found]
+                found += more
+                waiting += more
+        return found
 
     @cached_property
     def _read(self) -> dict[str, Syntax]:

@@ -6,6 +6,7 @@ from typing import Any
 
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.skill import Condition
+from scuhand_bt.skill_files.versions import of_another_version
 from scuhand_bt.specs import Powder
 from scuhand_bt.tree.expressions import Reference, fits
 from scuhand_bt.tree.grammar import EXPRESSIONS, KEYWORDS, PARAMETERS, RECORD, why_no_expression
@@ -240,6 +241,8 @@ class _Checker:
             else:
                 what = f"'{node.name}' has no parameter '{shorten(name)}'"
                 takes = f"it takes {', '.join(parameters) or 'none'}"
+                if name in library.taken_there.get(node.name, ()):
+                    takes = f"{takes}; {of_another_version([f'{node.name}.py'])}"
                 self._problems.add(
                     node.argument_marks[name], what, takes, unknown=name, known=parameters, code="unknown-parameter"
                 )

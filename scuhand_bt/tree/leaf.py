@@ -123,13 +123,22 @@ class Ticking:
         """No action may begin."""
         self.going_on = Signal()
         """Fires when actions may begin again."""
-        self.paused_s = 0.0
-        """How long the job has been paused in all: timeouts do not count it."""
         self.is_interrupted = False
         """The run, not the tree, halts the job."""
         self.bugs: list[SkillBug] = []
         """What broke while it was halted: it must not keep the rest of the tree from being halted too."""
         self._waiting: dict[Behaviour, Sequence[Wake]] = {}
+        self.asked_s: float | None = None
+        """Since when a person thinks about whether an action may begin."""
+        self._thought_s = 0.0
+
+    @property
+    def thought_s(self) -> float:
+        """How long a person has thought about that in all: timeouts do not count it."""
+        return self._thought_s + (0.0 if self.asked_s is None else self.cell.clock.now_s - self.asked_s)
+
+    def thinking(self, is_so: bool) -> None:
+        self._thought_s, self.asked_s = self.thought_s, self.cell.clock.now_s if is_so else None
 
     def wait(self, node: Behaviour, *wakes: Wake) -> None:
         """Note when `node` wants the next tick; replaces what it asked for before."""
@@ -256,6 +265,7 @@ class SkillLeaf(Behaviour):
             self._shared.consent.withdraw(self, self._shared)
         try:
             if self._steps is not None:
+                self._shared.listener.acting(self)
                 self._steps.close()
         except BaseException as error:
             outcome = "broken"

@@ -12,7 +12,7 @@ from scuhand_bt.skill import Skill
 from scuhand_bt.skill_files.facts import SkillFacts
 from scuhand_bt.specs import ContainerKind, Mortar, Powder
 from scuhand_bt.tree.grammar import RECORD
-from scuhand_bt.tree.wires import WireType, of_field
+from scuhand_bt.tree.wires import QUANTITIES, WireType, of_field
 from scuhand_bt.tree.workflow import Call, TreeNode, Workflow, walk
 from scuhand_bt.yaml_source import Items, Node, describe, plain
 
@@ -39,6 +39,8 @@ class Library:
     mortars: Mapping[str, Mortar] = field(default_factory=dict)
     facts: Mapping[str, SkillFacts] = field(default_factory=dict)
     """What the skills' files say of them."""
+    taken_there: Mapping[str, Collection[str]] = field(default_factory=dict)
+    """What the starter lab's skills of these names take, where the lab has them in other words."""
     zones: Collection[str] = ()
     """The spaces that `robot/cell.yaml` says only one may move in at a time."""
     broken: Broken = field(default_factory=Broken)
@@ -79,6 +81,14 @@ def parameters_of(skill: type[Skill[Any]]) -> Mapping[str, Parameter]:
         info.alias or field_name: Parameter(of_field(info.annotation, info.metadata), info.is_required())
         for field_name, info in skill.model_fields.items()
     }
+
+
+@lru_cache(maxsize=SKILLS_KEPT)
+def units_of(skill: type[Skill[Any]]) -> Mapping[str, str]:
+    """The units in which a skill is given those of its parameters that are quantities, or lists of such."""
+    wires = {key: wire.item or wire for key, wire in _wires_of(skill).items()}
+    symbols = {key: QUANTITIES[wire.name].symbol for key, wire in wires.items() if wire.name in QUANTITIES}
+    return {key: symbol for key, symbol in symbols.items() if symbol}
 
 
 @lru_cache(maxsize=SKILLS_KEPT)

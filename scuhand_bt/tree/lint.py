@@ -170,7 +170,9 @@ class Lint:
                 self._problems.warn(mark, what, "leave it out, or look at what the child calls", code="retry-never")
 
     def _is_sure(self, node: TreeNode) -> bool:
-        """Whether a node can be told never to fail."""
+        """Whether a node can be told never to fail. A value that only the run knows may be none, or not be accepted."""
+        if not all(isinstance(argument, Node) for argument in arguments_of(node)):
+            return False
         if isinstance(node, Branch):
             found = [self._is_sure(child) for child in node.children]
             return any(found) if node.kind == "fallback" else all(found)

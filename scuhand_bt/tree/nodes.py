@@ -260,23 +260,29 @@ def _reset(children: Sequence[Behaviour]) -> None:
 
 
 class Timeout(_OnClock):
-    """Halt the child and fail if it has not ended within `duration` of run time, pauses not counted."""
+    """Halt the child and fail if it has not ended within `duration` of run time.
+
+    What a person thinks about an action that is to begin is not counted, nor what a pause keeps from beginning: from
+    where nothing of the child is at work any more, whatever goes on beside it.
+    """
 
     def __init__(self, path: str, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
         super().__init__("timeout", child, arguments, shared)
         self.path = path
         self._visits = 0
         self._duration_s = 0.0
-        self._began_s = 0.0
-
-    @property
-    def _deadline_s(self) -> float:
-        return self._began_s + self._shared.paused_s + self._duration_s
+        self._began_s = self._looked_s = 0.0
+        """On a clock that stands while a person thinks."""
+        self._is_kept = False
 
     def begin(self) -> None:
         self._visits += 1
         self._duration_s = self._arguments()["duration"]
-        self._began_s = self._shared.cell.clock.now_s - self._shared.paused_s
+        self._began_s = self._looked_s = self._counted_s
+
+    @property
+    def _counted_s(self) -> float:
+        return self._shared.cell.clock.now_s - self._shared.thought_s
 
     def update(self) -> Status:
         if self.decorated.status is not Status.RUNNING:
@@ -285,13 +291,25 @@ class Timeout(_OnClock):
         decision = shared.replay.decision(self.path, self._visits)
         if decision is not None and is_stuck(self.decorated):
             return self._fail(decision.failure)
-        if shared.cell.clock.now_s >= self._deadline_s:
+        self._leave_out_the_pause()
+        deadline_s = self._began_s + shared.thought_s + self._duration_s
+        if shared.cell.clock.now_s >= deadline_s:
             failure = SkillFailed(Code.WORKFLOW_TIMEOUT, f"not done after {self._duration_s:g} s")
             status = self._fail(failure)
             shared.listener.decided(self.path, self._visits, Decision(failure))
             return status
-        shared.wait(self, Wake(self._deadline_s))
+        if self._is_kept or shared.asked_s is not None:
+            shared.done(self)  # the deadline moves on with the time
+        else:
+            shared.wait(self, Wake(deadline_s))
         return Status.RUNNING
+
+    def _leave_out_the_pause(self) -> None:
+        now_s = self._counted_s
+        if self._is_kept:
+            self._began_s += now_s - self._looked_s
+        self._looked_s = now_s
+        self._is_kept = self._shared.is_pausing and self._shared.acting.isdisjoint(self.decorated.iterate())
 
     def _fail(self, failure: SkillFailed) -> Status:
         self.decorated.stop(Status.INVALID)
