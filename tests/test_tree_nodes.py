@@ -377,11 +377,21 @@ def test_a_timeout_counts_no_time_in_which_a_pause_keeps_its_next_action_from_be
     assert bench.log[-2:] == [(30.0, "next begins"), ended]
 
 
+class Pushed(Skill[None]):
+    """Move the arm, and when halted move it on."""
+
+    devices = ("arm",)
+
+    def run(self, cell: Any) -> Steps[None]:
+        cell.device("arm").is_stopped = False
+        yield from wait_until(cell, 3600.0)
+
+
 def test_a_timeout_counts_the_time_in_which_a_device_is_waited_for(bench: Bench) -> None:
-    bench.cell.device("arm").is_stopped = False
-    tree = "fallback: [{timeout: {duration: 3 s, child: {arm: }}}, {hand: {name: next}}]"
-    bench.run(tree, SKILLS)
-    assert bench.log[0] == (3.0, "next begins")
+    pushed, arm = "timeout: {duration: 1 s, child: {pushed: }}", "timeout: {duration: 3 s, child: {arm: }}"
+    bench.agenda.at(4.5, lambda: setattr(bench.cell.device("arm"), "is_stopped", True))
+    bench.run(f"fallback: [{{{pushed}}}, {{{arm}}}, {{hand: {{name: next}}}}]", {**SKILLS, "pushed": Pushed})
+    assert bench.log[0] == (4.0, "next begins")
 
 
 def test_what_is_at_work_when_a_pause_is_wished_has_no_more_time_for_it(bench: Bench) -> None:
