@@ -9,6 +9,7 @@ import: it is, when the first unit is read.
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any
@@ -181,6 +182,19 @@ def parse(text: str, unit: Unit) -> float:
     if not math.isfinite(value):
         raise ValueError(unit.wanted(f"'{_short(text)}' is too large"))
     return value
+
+
+def in_unit_of(text: str, value: float) -> str:
+    """A value, in its dimension's own unit, as it would be written beside a text: 1 beside "101 %" is "100 %".
+
+    Nought, and what stands beside no quantity, has no unit.
+    """
+    match = _NUMBER.fullmatch(text.strip()) if len(text) <= MAX_LENGTH else None
+    if value and match is not None and _UNIT.fullmatch(match[2]):
+        for unit in (MASS, DURATION, LENGTH, ANGLE, VOLUME, DENSITY, SPEED, RATIO):
+            with suppress(ValueError):
+                return f"{value / _factor(match[2], unit):.12g} {match[2]}"
+    return f"{value:.12g}"
 
 
 def _short(text: str) -> str:

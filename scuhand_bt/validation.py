@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from scuhand_bt.problems import Problems, shorten
-from scuhand_bt.quantity import NOT_WRITTEN, counted
+from scuhand_bt.quantity import NOT_WRITTEN, counted, in_unit_of
 from scuhand_bt.yaml_source import Entries, Items, Node, describe, plain
 
 M = TypeVar("M", bound=BaseModel)
@@ -75,23 +75,25 @@ def refusal(error: Any) -> str:
     if error["type"] in _OWN_CODES:
         return str(error["msg"])
     given, context = error["input"], error.get("ctx", {})
+    bounds = {key: in_unit_of(str(given), bound) for key, bound in context.items() if key in _BOUNDS}
     given = f"{given:g}" if isinstance(given, float) else given  # what was worked out has all its digits
     shown = (
         f"'{shorten(str(given))}'" if isinstance(given, str | int | float) else "nothing" if given is None else "this"
     )
-    why = _WHY.get(error["type"], "").format(**context) or error["msg"].removeprefix("Value error, ")
+    why = _WHY.get(error["type"], "").format(**context | bounds) or error["msg"].removeprefix("Value error, ")
     return f"{shown} is not accepted; {why[:1].lower() + why[1:]}"
 
 
 _OWN_CODES = {"quantity": "bad-unit", "formula": "bad-formula"}
 """The codes of findings of the types of errors that are our own, and worded already."""
 
+_BOUNDS = ("gt", "ge", "lt", "le")
 _WHY = {
     "missing": "it is missing",
-    "greater_than": "more than {gt:.12g}",
-    "greater_than_equal": "at least {ge:.12g}",
-    "less_than": "less than {lt:.12g}",
-    "less_than_equal": "at most {le:.12g}",
+    "greater_than": "more than {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "less than {lt}",
+    "less_than_equal": "at most {le}",
     **dict.fromkeys(("int_parsing", "int_type", "int_from_float", "int_parsing_size"), "a whole number, such as 3"),
     **dict.fromkeys(("float_parsing", "float_type", "finite_number"), "a plain number, such as 0.5"),
     **dict.fromkeys(("bool_parsing", "bool_type"), "yes or no"),

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scuhand_bt import quantity
-from scuhand_bt.quantity import ANGLE, DENSITY, DURATION, LENGTH, MASS, RATIO, SPEED, VOLUME, Unit, parse
+from scuhand_bt.quantity import ANGLE, DENSITY, DURATION, LENGTH, MASS, RATIO, SPEED, VOLUME, Unit, in_unit_of, parse
 
 UNITS = [MASS, DURATION, LENGTH, ANGLE, VOLUME, DENSITY, SPEED, RATIO]
 
@@ -149,3 +149,19 @@ print("pint" in sys.modules)
 """
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert ended.stdout.split() == ["False", "True"]
+
+
+@pytest.mark.parametrize(
+    ("text", "bound", "said"),
+    [
+        *(
+            ("101 %", 1.0, "100 %"),
+            ("1600g/cm^3", 23.0, "23 g/cm^3"),
+            ("5 m", 200.0, "0.2 m"),
+            ("200 deg", 180.0, "180 deg"),
+        ),
+        *(("0 g", 0.0, "0"), ("7", 5, "5"), ("many", 5, "5"), ("5 stones", 5, "5"), ("9" * 100 + " g", 5, "5")),
+    ],
+)
+def test_a_bound_is_told_in_the_unit_of_what_was_written(text: str, bound: float, said: str) -> None:
+    assert in_unit_of(text, bound) == said

@@ -148,6 +148,15 @@ def test_a_wrong_column_is_said_once_at_the_header(desk: Desk) -> None:
     assert problems[0].startswith("1:4: ")
 
 
+def test_a_cell_that_is_refused_is_not_told_to_be_missing_as_well(desk: Desk) -> None:
+    desk.write("t.csv", "id;mass [mg]\na;50,5\nb;1.000\n")
+    (problem,) = desk.problems(HEAD + "  - {table: t.csv}\n")
+    assert "3:3: '1.000' could be thousands" in problem
+    desk.write("t.csv", "id;mass mg\na;50\nb;60\n")
+    (problem,) = desk.problems(HEAD + "  - {table: t.csv}\n")
+    assert "1:4: 'mass mg' is no column name" in problem
+
+
 def test_tables_repeats_and_lists_become_samples(desk: Desk) -> None:
     desk.write("t.csv", "id;mass;tolerance\nt1;50,5 mg;\nt2;0,06 g;1 mg\n")
     recipe = desk.load(

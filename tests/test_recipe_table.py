@@ -67,6 +67,20 @@ def test_decimals_that_cannot_be_thousands_are_read_as_such(tmp_path: Path, cell
     assert said == []
 
 
+def test_a_large_or_small_number_as_excel_shows_it_is_read_with_its_decimal_comma(tmp_path: Path) -> None:
+    rows, said = read(tmp_path / "t.csv", "id;mass [g]\na;5,00E-02\nb;1,25E+00 g\n")
+    assert (rows, said) == ([{"id": "a", "mass": "5.00E-02 g"}, {"id": "b", "mass": "1.25E+00 g"}], [])
+
+
+def test_an_id_is_never_read_as_a_number(tmp_path: Path) -> None:
+    rows, _ = read(tmp_path / "t.csv", "id;mass [mg]\n1,5;50,5\n")
+    assert rows == [{"id": "1,5", "mass": "50.5 mg"}], "told by another name nobody would find it"
+
+
+def test_a_table_whose_header_is_wrong_has_no_rows_that_could_lack_something(tmp_path: Path) -> None:
+    assert read(tmp_path / "t.csv", "id;mass g\na;50\nb;60\n")[0] == []
+
+
 def test_every_cell_knows_its_line_and_column(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text('id;note;mass\n\na;"x;""y""\nz";5 mg\nbb;5" dish;6 mg\n')

@@ -153,7 +153,8 @@ class SamplesReader:
             if value is not None:
                 inputs[key] = value
         for declared in workflow.inputs.values():
-            if declared.default is None and declared.name not in given and declared.name not in made:
+            is_told = declared.name in made or declared.name in entry.keys or declared.name in given
+            if declared.default is None and not is_told:
                 what = f"'{declared.name}' is missing"
                 self.problems.add(
                     entry.mark,

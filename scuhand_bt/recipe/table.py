@@ -15,7 +15,7 @@ from scuhand_bt.yaml_source import Entries, Scalar, read_text
 
 _HEADER = re.compile(r"([A-Za-z_]\w*)\s*(?:[\[(]([^\])]+)[\])])?")
 _NUMBER = re.compile(r"[+-]?[\d.]+(?:[eE][+-]?\d+)?")
-_DECIMAL_COMMA = re.compile(r"([+-]?\d+),(\d+)(\s*[A-Za-zµμ°%]*)")
+_DECIMAL_COMMA = re.compile(r"([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)(\s*[A-Za-zµμ°%]*)")
 _SIGN_IN_NUMBER = re.compile(r"[+-]?\d+([.,])\d+\s*[A-Za-zµμ°%]*")
 _PERHAPS_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}\s*[A-Za-zµμ°%]*")
 
@@ -30,8 +30,11 @@ class Column:
 
 
 def read_table(path: Path, asked_at: Mark, problems: Problems) -> list[Entries]:
-    """The rows of a CSV file that a recipe names at `asked_at`; what is wrong is added to `problems`."""
-    file = str(path)
+    """The rows of a CSV file that a recipe names at `asked_at`; what is wrong is added to `problems`.
+
+    None of a file whose header is wrong: each would lack what the header does not name.
+    """
+    file, before = str(path), len(problems.found)
     try:
         text = read_text(path, "a table of samples (CSV)", asked_at)
     except SourceError as error:
@@ -60,6 +63,8 @@ def read_table(path: Path, asked_at: Mark, problems: Problems) -> list[Entries]:
     else:
         if not read:
             problems.add(Mark(file), "has no rows below its header", code="bad-table")
+    if len(problems.found) > before:
+        return []
     decimal = None if delimiter == "," else _decimal_sign([cells for cells, _ in read], header or [])
     return [_read_row(cells, marks, header or [], decimal, problems) for cells, marks in read]
 
@@ -98,7 +103,10 @@ def _read_header(cells: list[str], marks: list[Mark], problems: Problems) -> lis
 def _read_row(
     cells: list[str], marks: list[Mark], header: list[Column | None], decimal: str | None, problems: Problems
 ) -> Entries:
-    """`decimal`: the sign of decimals that the table's other numbers have; None where a comma can be none."""
+    """`decimal`: the sign of decimals that the table's other numbers have; None where a comma can be none.
+
+    A cell that is refused has its key in the row, and no value.
+    """
     row = Entries(marks[0], {}, {})
     for i, (cell, mark) in enumerate(zip(cells, marks, strict=True)):
         text = cell.strip()
@@ -115,16 +123,16 @@ def _read_row(
         column = header[i]
         if column is None:
             continue
+        row.keys[column.name] = column.mark
         grouped = _PERHAPS_THOUSANDS.fullmatch(text)
         if decimal and grouped and grouped[1] != decimal and column.name != "id":
             what = f"'{shorten(text)}' could be thousands: this table's other numbers have '{decimal}' for decimals"
             problems.add(mark, what, "write it without a sign for thousands", code="bad-table")
             continue
-        if decimal is not None and (match := _DECIMAL_COMMA.fullmatch(text)):
+        if decimal is not None and column.name != "id" and (match := _DECIMAL_COMMA.fullmatch(text)):
             text = f"{match[1]}.{match[2]}{match[3]}"
         if column.unit and _NUMBER.fullmatch(text):
             text = f"{text} {column.unit}"
-        row.keys[column.name] = column.mark
         row.values[column.name] = Scalar(mark, text)
     return row
 
