@@ -291,6 +291,14 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "skill-unknown-member": Finding(
             "A device, the cell, or the skill itself, has no such method or value.", "See its interface, or its fields."
         ),
+        "skill-unknown-name": Finding(
+            "A skill's file names what nothing in it gives a value.", "Import it; look at its spelling."
+        ),
+        "skill-set": Finding("A skill sets one of its own parameters.", "A name of its own, without `self.`."),
+        "skill-condition": Finding(
+            "The `check` of a condition gives a value, or waits: it would hold whatever that is.",
+            "`raise SkillFailed(…)` where it does not hold.",
+        ),
         "skill-arguments": Finding("A method is called with other values than it takes.", "See its interface."),
         "skill-lease": Finding("A skill uses a device that it does not lease.", "Add it to `devices`."),
         "skill-forecast": Finding(

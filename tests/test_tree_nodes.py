@@ -366,14 +366,32 @@ def test_a_timeout_counts_no_pause_neither_one_within_it_nor_one_before(bench: B
     assert bench.log[2:] == [(50.0, "work begins"), (51.0, "work ends"), (51.0, "slow begins"), (55.0, "slow halted")]
 
 
-def test_a_timeout_counts_no_time_in_which_a_pause_keeps_its_next_action_from_beginning(bench: Bench) -> None:
+@pytest.mark.parametrize(("lasts", "ended"), [("2 s", (32.0, "next ends")), ("1 h", (33.0, "next halted"))])
+def test_a_timeout_counts_no_time_in_which_a_pause_keeps_its_next_action_from_beginning(
+    bench: Bench, lasts: str, ended: tuple[float, str]
+) -> None:
     """The pause itself begins when what goes on beside it has ended."""
     paused(bench, from_s=1.0, until_s=30.0)
-    within = (
-        "timeout: {duration: 5 s, child: {sequence: [{hand: {duration: 2 s}}, {hand: {name: next, duration: 2 s}}]}}"
-    )
-    assert bench.run(f"parallel: [{{arm: {{duration: 20 s}}}}, {{{within}}}]", SKILLS).failure is None
-    assert bench.log[-2:] == [(30.0, "next begins"), (32.0, "next ends")]
+    within = f"sequence: [{{hand: {{duration: 2 s}}}}, {{hand: {{name: next, duration: {lasts}}}}}]"
+    bench.run(f"parallel: [{{arm: {{duration: 20 s}}}}, {{timeout: {{duration: 5 s, child: {{{within}}}}}}}]", SKILLS)
+    assert bench.log[-2:] == [(30.0, "next begins"), ended]
+
+
+class Pushed(Skill[None]):
+    """Move the arm, and when halted move it on."""
+
+    devices = ("arm",)
+
+    def run(self, cell: Any) -> Steps[None]:
+        cell.device("arm").is_stopped = False
+        yield from wait_until(cell, 3600.0)
+
+
+def test_a_timeout_counts_the_time_in_which_a_device_is_waited_for(bench: Bench) -> None:
+    pushed, arm = "timeout: {duration: 1 s, child: {pushed: }}", "timeout: {duration: 3 s, child: {arm: }}"
+    bench.agenda.at(4.5, lambda: setattr(bench.cell.device("arm"), "is_stopped", True))
+    bench.run(f"fallback: [{{{pushed}}}, {{{arm}}}, {{hand: {{name: next}}}}]", {**SKILLS, "pushed": Pushed})
+    assert bench.log[0] == (4.0, "next begins")
 
 
 def test_what_is_at_work_when_a_pause_is_wished_has_no_more_time_for_it(bench: Bench) -> None:

@@ -20,6 +20,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.skill import Skill
+from scuhand_bt.skill_files.facts import Syntax
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 CLOCKS = {
@@ -28,6 +29,24 @@ CLOCKS = {
     "datetime": ("now", "utcnow", "today"),
 }
 """What tells the computer's time, or waits by it: functions of a module, or of its classes."""
+
+
+def bound_in(syntax: Syntax) -> set[str]:
+    """All that is given a value somewhere in a file, wherever that holds."""
+    found: set[str] = set()
+    for node in syntax.nodes:
+        match node:
+            case ast.Name(id=name, ctx=ast.Store() | ast.Del()) | ast.arg(arg=name):
+                found.add(name)
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+                found.add(name)
+            case ast.alias(name=name, asname=other):
+                found.add(other or name.partition(".")[0])
+            case ast.ExceptHandler(name=str(name)) | ast.MatchAs(name=str(name)) | ast.MatchStar(name=str(name)):
+                found.add(name)
+            case ast.MatchMapping(rest=str(name)):
+                found.add(name)
+    return found
 
 
 class Names:

@@ -4,6 +4,7 @@ What its names stand for is in `names.py`; what cannot be followed is taken for 
 """
 
 import ast
+import builtins
 import inspect
 import types
 import typing
@@ -13,13 +14,14 @@ from typing import Annotated, Any
 from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
+from scuhand_bt import skill as sdk
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.leased import of_arm
 from scuhand_bt.cell_spec import DEVICES
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, Skill
 from scuhand_bt.skill_files.facts import Syntax
-from scuhand_bt.skill_files.names import CLOCKS, Function, Names, fields_of, has_member
+from scuhand_bt.skill_files.names import CLOCKS, Function, Names, bound_in, fields_of, has_member
 
 RESUMING = "settle"
 """The method that has the arm and the balance, too: by them an interrupted action is taken up."""
@@ -30,6 +32,7 @@ def check_source(skill: type[Skill[Any]], syntax: Syntax, module: types.ModuleTy
     """All that can be told of a skill by the text of its file."""
     problems = Problems()
     body = next(node for node in syntax.tree.body if isinstance(node, ast.ClassDef) and node.name == skill.__name__)
+    _check_names(syntax, module, problems, file)
     _check_functions(syntax, module, set(skill.sees()), problems, file, skill, body)
     _check_body(skill, body, problems, file)
     return problems
@@ -38,8 +41,20 @@ def check_source(skill: type[Skill[Any]], syntax: Syntax, module: types.ModuleTy
 def check_shared(syntax: Syntax, module: types.ModuleType, file: str) -> Problems:
     """The same of a file that skills share: which devices are leased is its callers' to say."""
     problems = Problems()
+    _check_names(syntax, module, problems, file)
     _check_functions(syntax, module, None, problems, file)
     return problems
+
+
+def _check_names(syntax: Syntax, module: types.ModuleType, problems: Problems, file: str) -> None:
+    """Names that nothing in the file gives a value, each told once."""
+    known = set(vars(module)) | bound_in(syntax)
+    for node in syntax.nodes:
+        if isinstance(node, ast.Name) and node.id not in known and not hasattr(builtins, node.id):
+            remedy = f"from {sdk.__name__} import {node.id}" if node.id in sdk.__all__ else ""
+            what, names = f"'{node.id}' has no value here", [name for name in known if not name.startswith("__")]
+            problems.add(_mark(file, node), what, remedy, unknown=node.id, known=names, code="skill-unknown-name")
+            known.add(node.id)
 
 
 def _check_functions(
@@ -78,6 +93,11 @@ def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems,
         problems.add(
             _mark(file, methods["forecast"]), "'forecast' is no class method", "@classmethod", code="skill-signature"
         )
+    for node in _within(methods["check"]) if issubclass(skill, Condition) and "check" in methods else ():
+        if isinstance(node, ast.Yield | ast.YieldFrom) or (isinstance(node, ast.Return) and _gives_a_value(node)):
+            what = "a condition holds wherever its `check` returns: what it gives is not looked at, nor what it yields"
+            remedy = "`raise SkillFailed(code, why)` where it does not hold"
+            problems.add(_mark(file, node), what, remedy, code="skill-condition")
     run = methods.get("run")
     if run is not None and not _yields(run) and not _returns_a_call(run):
         what = "'run' is no generator: it has no `yield`, and so cannot be waited for or halted"
@@ -155,6 +175,9 @@ class _FunctionCheck:
                 known = [*owner.model_fields, *(name for name in vars(owner) if not name.startswith("_"))]
             what = f"a {owner.__name__} has no '{node.attr}'"
             self._add(node, what, "", "skill-unknown-member", unknown=node.attr, known=known)
+        elif owner is self._skill and isinstance(node.ctx, ast.Store) and node.attr in self._skill.model_fields:
+            what = f"`{ast.unparse(node)}` is set, and a skill's parameters stay as they were given"
+            self._add(node, what, "a name of its own, without `self.`", "skill-set")
         elif owner is Cell:
             device = node.attr if node.attr in DEVICES else "arm" if of_arm(node.attr) else None
             if device is not None and self._leased is not None and device not in self._leased:
@@ -284,6 +307,11 @@ def _with(node: ast.AST) -> Iterator[ast.AST]:
 
 def _yields(function: Function) -> bool:
     return any(isinstance(node, ast.Yield | ast.YieldFrom) for node in _within(function))
+
+
+def _gives_a_value(node: ast.Return) -> bool:
+    """Of a call it is not known."""
+    return not (node.value is None or isinstance(node.value, ast.Call) or ast.unparse(node.value) == "None")
 
 
 def _returns_a_call(function: Function) -> bool:

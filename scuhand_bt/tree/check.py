@@ -138,6 +138,7 @@ class _Checker:
 
     def _check_for_each(self, node: Decorator, defined: frozenset[str]) -> frozenset[str]:
         """The items have their names below it alone; it may have none, and then sets nothing."""
+        own: set[str] = set()
         for name, argument in node.arguments.items():
             given = None
             if isinstance(argument, Node):
@@ -151,12 +152,13 @@ class _Checker:
             if name in self._types:
                 what = f"'{name}' is a value of this workflow already"
                 self._problems.add(argument.mark, what, "a name of its own for the item", code="name-taken")
-                return defined
+                continue
+            own.add(name)
             self._types[name] = given.item if given is not None else None
             self._items |= {name}
         self._check(node.child, defined.union(node.arguments))
-        self._items = self._items.difference(node.arguments)
-        for name in node.arguments:
+        self._items = self._items.difference(own)
+        for name in own:
             del self._types[name]
         return defined
 
