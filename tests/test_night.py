@@ -121,6 +121,16 @@ def test_a_sample_that_ends_too_late_is_not_done(desk: Desk) -> None:
     assert done == [True, True, False, False], "the second ends after 20 minutes, give or take some"
 
 
+def test_a_night_until_the_last_sample_is_said_to_be_done_holds_as_many(desk: Desk) -> None:
+    """Said to be done by 20:22, it is by 20:22:25, and in a night until then was not."""
+    plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
+    odds = odds_of(plan, [trial_of(plan, 607.0)] * 8)
+    said, *_ = in_words(plan, desk.lab, odds, read_night("20:00-20:25"), lambda _: odds)
+    assert "2 of 4 samples, the last by " in said
+    by = said.partition("the last by ")[2].partition(".")[0]
+    assert sum(fate.why is None for fate in fates(plan, odds, read_night(f"20:00-{by}"))) == 2
+
+
 def test_no_sample_is_done_before_one_that_comes_before_it(desk: Desk) -> None:
     """Of dry runs that differ at first the second sample was done by 20:18, and the first perhaps not at 20:20."""
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)

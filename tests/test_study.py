@@ -43,7 +43,7 @@ from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.store import open_store
 from scuhand_bt.study.table import write_table
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial, trial
-from scuhand_bt.study.vary import Vary, goes_with, means_of, read_vary
+from scuhand_bt.study.vary import Vary, check_setups, goes_with, means_of, read_vary
 from tests.conftest import REPOSITORY, Call, LabFolder
 
 RECIPE = """recipe: two
@@ -1165,6 +1165,16 @@ def test_what_is_better_by_chance_is_not_proposed() -> None:
     assert sum(is_better(runs(0.0), runs(0.0)) for _ in range(200)) <= 20
     assert all(is_better(runs(0.0), runs(10.0)) for _ in range(20))
     assert not is_better(runs(0.0)[:1], runs(10.0)[:1])
+
+
+@pytest.mark.parametrize("readabilities", [["0.1 mg", "1 mg"], ["1 mg", "0.1 mg"]])
+def test_a_search_begins_in_whichever_order_names_are_listed(setup: Setup, readabilities: list[str]) -> None:
+    """Each end was tried with the middle one of each list: of the two orders one was refused."""
+    setup.recipe.write_text(RECIPE.replace("30 mg}", "30 mg, tolerance: 2 mg}"), encoding="utf-8")
+    both = {"cell.balance.readability": readabilities, "recipe.samples.2.tolerance": {"from": "1 mg", "to": "2 mg"}}
+    ends = Vary.model_validate({"vary": both}).ends()
+    check_setups([replace(setup, changes=changes) for changes in ends])
+    assert {one for changes in ends for one in changes} >= {(place, "1 mg") for place in both}
 
 
 def test_a_search_goes_on_after_a_candidate_that_no_recipe_may_have(setup: Setup, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What of a plan is done in hours in which nobody comes."""
 
+import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -32,6 +33,10 @@ class Night:
         at = self.begins + timedelta(seconds=after_s)
         days = (at.date() - self.begins.date()).days
         return f"{at:%H:%M}" + (f" (+{days} d)" if at >= self.begins + timedelta(days=1) else "")
+
+    def by(self, done_s: float) -> str:
+        """The same of what is done by then: no minute that is told is too early."""
+        return self.clock(60.0 * math.ceil(done_s / 60.0))
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,7 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Pl
     found = list(fates(plan, odds, night))
     fit = [fate for fate in found if fate.why is None]
     hours = f"from {night.clock(0.0)} to {night.clock(night.lasts_s)} ({format_duration(night.lasts_s)})"
-    last = f", the last by {night.clock(fit[-1].done_s or 0.0)}" if fit else ""
+    last = f", the last by {night.by(fit[-1].done_s or 0.0)}" if fit else ""
     rare = ""
     if fit and odds.trials < ONE_OF:
         rare = f" What stops one run of {ONE_OF} may not have come in {odds.trials} dry runs: more `--trials` tell."

@@ -130,10 +130,9 @@ class Vary(Spec):
         )
 
     def ends(self) -> list[Changes]:
-        """The two ends of each range and each name of each list, with all else in the middle."""
-        middle = self._at([0.5] * len(self.vary))
+        """The two ends of each range and each name of each list, with all else as it is written."""
         return [
-            tuple((name, value if name == place else at) for name, at in middle)
+            ((place, value),)
             for place, given in self.vary.items()
             for value in (given if isinstance(given, list) else (given.at(0.0), given.at(1.0)))
         ]
