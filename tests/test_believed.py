@@ -251,7 +251,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
                 "is_lens": False,
             }
         },
-        "has_closed": True,
+        "told_lots": ["glass_beads/L7"],
         "dosing": {
             "began_s": 4.0,
             "pulses": 3,

@@ -458,6 +458,34 @@ def test_an_action_that_only_a_person_can_settle_is_asked_about(tmp_path: Path) 
     assert not bench.log
 
 
+@pytest.mark.parametrize(("duration", "failed"), [("8 s", None), ("4 s", "workflow.timeout")])
+def test_a_timeout_counts_from_where_an_interrupted_action_goes_on(
+    tmp_path: Path, duration: str, failed: str | None
+) -> None:
+    """Not from where a person was asked what became of it."""
+
+    class Press(Skill[None]):
+        """Press a pellet: nobody should do that twice."""
+
+        def run(self, cell: Any) -> Steps[None]:
+            yield from pause(cell, 5.0)
+            cell.note("pressed")
+
+    class Thinks:
+        def ask(self, question: str, choices: Any) -> Steps[str]:
+            yield from pause(bench.cell, 60.0)  # type: ignore[arg-type]
+            return "again"
+
+    bench, tree = Bench(tmp_path), f"timeout: {{duration: {duration}, child: {{press: }}}}"
+    bench.agenda.at(3.0, lambda: bench.control.wish("stop_now"))
+    bench.run(tree, {"press": Press})
+    bench.control = Control()
+    bench.cell.operator = Thinks()  # type: ignore[attr-defined]
+    outcome = bench.run(tree, {"press": Press}, resumes=True)
+    assert (outcome.failure and outcome.failure.code) == failed
+    assert bench.cell.clock.now_s == 3.0 + 60.0 + (5.0 if failed is None else 4.0)
+
+
 def test_what_a_workflow_kept_is_kept_over_an_interruption(tmp_path: Path) -> None:
     class Say(Skill[None]):
         """Note a duration."""

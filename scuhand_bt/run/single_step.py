@@ -29,7 +29,7 @@ class SingleStep:
         if self._question is None:
             self._asked = leaf
             self._question = self._cell.operator.ask(_asked(leaf, inputs), CHOICES)
-            shared.thinking(True)
+            shared.holds_up(self, True)
         try:
             return next(self._question)
         except StopIteration as said:
@@ -47,7 +47,7 @@ class SingleStep:
         question, self._question, self._asked = self._question, None, None
         if question is not None:
             question.close()
-        shared.thinking(False)
+        shared.holds_up(self, False)
         shared.going_on.fire()  # who waits to be asked for
 
 

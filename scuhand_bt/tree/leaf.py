@@ -128,17 +128,18 @@ class Ticking:
         self.bugs: list[SkillBug] = []
         """What broke while it was halted: it must not keep the rest of the tree from being halted too."""
         self._waiting: dict[Behaviour, Sequence[Wake]] = {}
-        self.asked_s: float | None = None
-        """Since when a person thinks about whether an action may begin."""
-        self._thought_s = 0.0
+        self.held_up_by: set[object] = set()
+        """What keeps an action from beginning: a person who thinks about it, what an interruption left to settle."""
+        self._held_up_s = self._changed_s = 0.0
 
     @property
-    def thought_s(self) -> float:
-        """How long a person has thought about that in all: timeouts do not count it."""
-        return self._thought_s + (0.0 if self.asked_s is None else self.cell.clock.now_s - self.asked_s)
+    def held_up_s(self) -> float:
+        """How long something has done so in all: timeouts do not count it."""
+        return self._held_up_s + (self.cell.clock.now_s - self._changed_s if self.held_up_by else 0.0)
 
-    def thinking(self, is_so: bool) -> None:
-        self._thought_s, self.asked_s = self.thought_s, self.cell.clock.now_s if is_so else None
+    def holds_up(self, who: object, is_so: bool) -> None:
+        self._held_up_s, self._changed_s = self.held_up_s, self.cell.clock.now_s
+        (self.held_up_by.add if is_so else self.held_up_by.discard)(who)
 
     def wait(self, node: Behaviour, *wakes: Wake) -> None:
         """Note when `node` wants the next tick; replaces what it asked for before."""
@@ -341,10 +342,12 @@ class SkillLeaf(Behaviour):
         shared, recorded = self._shared, self._recorded
         is_same = recorded is not None and recorded.skill == self.name and recorded.inputs == inputs
         rejoined = shared.rejoin(shared.cell, shared.replay, skill, self.name, recorded, is_same=is_same)
+        shared.holds_up(self, True)
         try:
             if not (yield from rejoined):
                 return None
         finally:
+            shared.holds_up(self, False)
             if shared.rejoining is self:
                 shared.rejoining = None
                 shared.going_on.fire()

@@ -262,8 +262,8 @@ def _reset(children: Sequence[Behaviour]) -> None:
 class Timeout(_OnClock):
     """Halt the child and fail if it has not ended within `duration` of run time.
 
-    What a person thinks about an action that is to begin is not counted, nor what a pause keeps from beginning: from
-    where nothing of the child is at work any more, whatever goes on beside it.
+    What holds an action up that is to begin is not counted (`Ticking.held_up_by`), nor what a pause keeps from
+    beginning: from where nothing of the child is at work any more, whatever goes on beside it.
     """
 
     def __init__(self, path: str, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
@@ -272,7 +272,7 @@ class Timeout(_OnClock):
         self._visits = 0
         self._duration_s = 0.0
         self._began_s = self._looked_s = 0.0
-        """On a clock that stands while a person thinks."""
+        """On a clock that stands while something is held up."""
         self._is_kept = False
 
     def begin(self) -> None:
@@ -282,7 +282,7 @@ class Timeout(_OnClock):
 
     @property
     def _counted_s(self) -> float:
-        return self._shared.cell.clock.now_s - self._shared.thought_s
+        return self._shared.cell.clock.now_s - self._shared.held_up_s
 
     def update(self) -> Status:
         if self.decorated.status is not Status.RUNNING:
@@ -292,13 +292,13 @@ class Timeout(_OnClock):
         if decision is not None and is_stuck(self.decorated):
             return self._fail(decision.failure)
         self._leave_out_the_pause()
-        deadline_s = self._began_s + shared.thought_s + self._duration_s
+        deadline_s = self._began_s + shared.held_up_s + self._duration_s
         if shared.cell.clock.now_s >= deadline_s:
             failure = SkillFailed(Code.WORKFLOW_TIMEOUT, f"not done after {self._duration_s:g} s")
             status = self._fail(failure)
             shared.listener.decided(self.path, self._visits, Decision(failure))
             return status
-        if self._is_kept or shared.asked_s is not None:
+        if self._is_kept or shared.held_up_by:
             shared.done(self)  # the deadline moves on with the time
         else:
             shared.wait(self, Wake(deadline_s))
