@@ -177,7 +177,8 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.BALANCE_BRACKET_OPEN: Failure(
         "What the container has gained by the bare pan before and after it is not what was dosed into it.",
         "Weigh the container again by hand; look for powder beside it, a leaking valve, and a zero that steps: a "
-        "display that is renewed less often than the balance's `period` in robot/cell.yaml says looks like one.",
+        "display that is renewed less often than the balance's `period` in robot/cell.yaml says looks like one, and so "
+        "does a powder that comes charged or warm.",
         ("run",),
     ),
     Code.BALANCE_OVERLOAD: Failure(
@@ -243,7 +244,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.SCOOP_NOTHING: Failure(
-        "Two scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
+        "Scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
         "See that the mortar holds what is written, at its station, and that none bridges in the cone; then resume, "
         "or, where the recipe went on without the source, begin a new run of the samples that were not run.",
         ("run",),

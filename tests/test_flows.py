@@ -7,6 +7,7 @@ from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe import flows
 from scuhand_bt.recipe.flow import flow_of
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.report.doses import asked_cells
 
 RECIPE = """recipe: mixtures
 workflow: {workflow}
@@ -115,3 +116,49 @@ def test_a_tolerance_below_nothing_is_the_recipes_fault_alone(lab_folder: LabFol
     with pytest.raises(SourceError) as caught:
         load_recipe(lab_folder.write("r.yaml", text), lab_folder.load())
     assert {one.code for one in caught.value.problems if not one.is_warning} == {"fine-tolerance"}
+
+
+HAND_GIVEN = """recipe: r
+workflow: weigh_in
+sources:
+  li: {station: mortar_bay, container: agate_mortar, powder: lithium_carbonate, amount: 8 g}
+  co: {station: mortar_bay_2, container: agate_mortar, powder: cobalt_oxide, amount: 15 g}
+samples:
+  - {id: a, container: alumina_crucible, sources: SOURCES, masses: MASSES, first: li,
+     tolerances: TOLERANCES}
+"""
+
+
+@pytest.mark.parametrize(
+    ("sources", "masses", "tolerances", "said"),
+    [
+        (
+            *("[li, co]", "[400 mg, 800 mg]", "[10 mg, 0.05 mg]"),
+            ["r.yaml:8:18: the tolerance 0.05 mg cannot be told with a readability of 0.1 mg; at least 0.2 mg"],
+        ),
+        (
+            *("[]", "[]", "[]"),
+            [
+                f"r.yaml:{at}: '{name}' is empty; the workflow 'weigh_in' needs at least one"
+                for at, name in (("7:51", "sources"), ("7:63", "masses"), ("8:18", "tolerances"))
+            ],
+        ),
+    ],
+)
+def test_lists_of_a_sample_are_held_to_what_its_own_values_are(
+    lab_folder: LabFolder, sources: str, masses: str, tolerances: str, said: list[str]
+) -> None:
+    """No balance can tell such a tolerance, and of nothing a sample was 'good' without a dose: both were accepted."""
+    text = HAND_GIVEN.replace("SOURCES", sources).replace("MASSES", masses).replace("TOLERANCES", tolerances)
+    path = lab_folder.write("r.yaml", text)
+    with pytest.raises(SourceError) as caught:
+        load_recipe(path, lab_folder.load())
+    wrong = [str(one) for one in caught.value.problems if not one.is_warning]
+    assert [one.removeprefix(f"{path.parent}/") for one in wrong] == said
+
+
+def test_masses_side_by_side_are_told_with_their_tolerances(lab_folder: LabFolder) -> None:
+    text = HAND_GIVEN.replace("SOURCES", "[li, co]").replace("MASSES", "[400 mg, 800 mg]")
+    path = lab_folder.write("r.yaml", text.replace("TOLERANCES", "[10 mg, 20 mg]"))
+    (sample,) = load_recipe(path, lab_folder.load()).samples
+    assert asked_cells(sample) == ("400.0 mg + 800.0 mg", "10 + 20 mg")

@@ -36,7 +36,7 @@ from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.study.change import changed, files_hash, plant_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
-from scuhand_bt.study.optimise import Found, Proposal, diff, optimised
+from scuhand_bt.study.optimise import Found, diff, is_better, optimised
 from scuhand_bt.study.plant_files import plant_files
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
@@ -1140,12 +1140,31 @@ def test_a_value_that_cannot_be_changed_by_itself_is_not(place: str, said: str) 
 
 def test_less_time_is_better_by_what_it_brings() -> None:
     """Runs that stop at their first failure are over sooner than those that go well."""
-    changes = ((FLOW, "20"),)
-    assert not Proposal(changes, Found(0.0, 600.0), Found(0.0, 1.0)).is_better
-    assert Proposal(changes, Found(0.5, 600.0), Found(0.5, 300.0)).is_better
-    assert Proposal(changes, Found(0.0, 1.0), Found(0.1, 600.0)).is_better
-    assert Proposal(changes, Found(1 / 24, 30.0), Found(1.0, 720.0)).is_better
-    assert not Proposal(changes, Found(1.0, 720.0), Found(1 / 24, 30.0)).is_better
+
+    def costs_less(as_written: Found, proposed: Found) -> bool:
+        return proposed.cost(as_written) < as_written.cost(as_written)
+
+    assert not costs_less(Found(0.0, 600.0), Found(0.0, 1.0))
+    assert costs_less(Found(0.5, 600.0), Found(0.5, 300.0))
+    assert costs_less(Found(0.0, 1.0), Found(0.1, 600.0))
+    assert costs_less(Found(1 / 24, 30.0), Found(1.0, 720.0))
+    assert not costs_less(Found(1.0, 720.0), Found(1 / 24, 30.0))
+
+
+def test_what_is_better_by_chance_is_not_proposed() -> None:
+    """Of proposals that change nothing every second one was, as by half a second of 183."""
+    rng = np.random.default_rng(1)
+    good = SampleTrial("a", True, True, "in tolerance", None, 50.0, 50.0, 50.0, 60.0)
+
+    def runs(shorter_s: float) -> list[Trial]:
+        return [
+            Trial(seed, 0, 180.0 + 60.0 * (seed % 3) + float(rng.normal(0.0, 1.0)) - shorter_s, {}, (good,), {}, {}, {})
+            for seed in range(6)
+        ]
+
+    assert sum(is_better(runs(0.0), runs(0.0)) for _ in range(200)) <= 20
+    assert all(is_better(runs(0.0), runs(10.0)) for _ in range(20))
+    assert not is_better(runs(0.0)[:1], runs(10.0)[:1])
 
 
 def test_a_search_goes_on_after_a_candidate_that_no_recipe_may_have(setup: Setup, tmp_path: Path) -> None:
@@ -1173,7 +1192,7 @@ def test_a_search_proposes_what_is_better_on_seeds_that_it_has_not_seen(setup: S
     with changed(slow.recipe, slow.lab, slow.changes) as (recipe, lab):
         here = Setup(recipe, lab)
         with open_store(tmp_path / "s.sqlite", here) as store:
-            found = optimised(here, vary, 6, range(2), range(2, 4), Inline(), store)
+            found = optimised(here, vary, 6, range(4), range(4, 8), Inline(), store)
         assert found.changes == ((FLOW, "75"),)
         assert found.is_better
         assert found.proposed.duration_s < found.as_written.duration_s

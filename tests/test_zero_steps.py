@@ -1,5 +1,6 @@
 """Containers onto the pan and off it: what the pan shows meanwhile, and what of it is the zero's doing."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -90,7 +91,7 @@ class Rig:
         self.began_s = self.clock.now_s
         self.believed = believed = self.cell.believed
         if not self.is_first:
-            believed.bracket_closed(ClosedBracket("before", {}, True, 0.0, ""))
+            believed.bracket_closed(ClosedBracket("before", {"glass_beads": Net(50.0, 0.1)}, True, 0.0, ""))
             believed.noted(believed.closed[-1])  # as the batch does
         empty, full = self.gross(DISH.empty_mass_mg), self.gross(DISH.empty_mass_mg + 50.0)
         believed.brought(DISH, from_changer=False)
@@ -104,6 +105,13 @@ class Rig:
 
     def gross(self, gross_mg: float) -> Gross:
         return Gross(gross_mg, U_MG, self.began_s)
+
+    def dose_salt(self, shown_mg: float = 50.0) -> None:
+        """50 mg of another powder into the same dish, of which no container has told yet."""
+        full_mg = self.pan.load_mg
+        self.pan.load_mg += 50.0
+        self.believed.dosing_towards(50.0, "salt", self.gross(full_mg))
+        self.believed.dosed(Net(shown_mg, 0.1), Drift(0.0, 0.005), self.gross(full_mg + shown_mg), 1, 0.5)
 
     def step(self, by_mg: float, from_s: float, until_s: float = 1e9) -> None:
         """The zero is elsewhere from a time until another, both since the beginning."""
@@ -241,6 +249,21 @@ def test_the_first_container_of_a_run_is_weighed_twice_as_it_goes_and_later_ones
     assert first.believed.zero_stepped_mg == 0.0
     assert rig.remove()
     assert told_again(rig) == []
+
+
+def test_the_first_container_with_a_powder_lot_is_weighed_twice_as_it_goes(rig: Rig) -> None:
+    rig.dose_salt()
+    assert rig.remove()
+    assert [again.container for again in told_again(rig)] == [DISH.id]
+    assert rig.believed.told_lots == ("glass_beads", "salt")
+
+
+def test_a_charge_that_comes_with_a_powder_and_leaks_away_is_told_by_its_first_container(rig: Rig) -> None:
+    """4 mg, to 1/e within a minute: by D and N alike the container has gained that much more."""
+    rig.pan.zero_mg = lambda time_s: 4.0 * math.exp((rig.began_s - time_s) / 60.0) if rig.pan.load_mg > 0.0 else 0.0
+    rig.dose_salt(shown_mg=54.0)
+    rig.remove()
+    assert rig.believed.zero_stepped_mg > 0.5
 
 
 def test_every_container_is_weighed_twice_where_the_cell_has_it_so(rig: Rig) -> None:

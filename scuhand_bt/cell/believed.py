@@ -71,8 +71,8 @@ class Believed(BelievedPowder):
     """What containers that have gone came to; until the batch has noted it."""
     gone: tuple[ClosedBracket, ...] = ()
     """What containers came to that have gone in this job, each once: they may be put on the pan again."""
-    has_closed: bool = False
-    """A container of this run has gone, and its bracket was closed, whatever came out."""
+    told_lots: tuple[str, ...] = ()
+    """Powder lots that were in containers of this run which have gone, their brackets closed, whatever came out."""
     is_zero_doubted: bool = False
     """The balance's zero was seen to step, or the last bracket did not close: one has to, before it is believed."""
     given_up: str = ""
@@ -211,7 +211,7 @@ class Believed(BelievedPowder):
             bracket=None,
             closed=(*(one for one in self.closed if one.container != told.container or not one.closes), told),
             gone=self.gone if is_discarded else self._gone_with(told),
-            has_closed=True,
+            told_lots=tuple(sorted({*self.told_lots, *closed.doses})),
             is_zero_doubted=not closed.closes,
         )
 

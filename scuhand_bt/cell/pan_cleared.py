@@ -107,7 +107,8 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
         yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
         took_s = cell.clock.now_s
         bare = yield from weigh_changed(cell, was_mg)
-    if lifted is not None and container is not None and is_to_be_weighed_again(cell):
+    lots = bracket.holds if bracket is not None else {}
+    if lifted is not None and container is not None and is_to_be_weighed_again(cell, lots):
         back, _ = yield from changed(cell, cell.changer.bring(container), bare)
         again, _ = yield from changed(cell, cell.changer.take_away(), back)
         note_again(cell, container.id, (bare, lifted), again, back)

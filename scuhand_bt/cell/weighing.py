@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import closing
 from itertools import takewhile
 
@@ -184,13 +184,16 @@ def changed(cell: Cell, changing: Steps[None], shown: StableMean) -> Steps[tuple
     return mean, shown_step(cell, weighing_of(shown), weighing_of(mean), changed_s)
 
 
-def is_to_be_weighed_again(cell: Cell) -> bool:
-    """Whether no container of this run has told yet whether the zero steps, or every one is to, as the cell has it.
+def is_to_be_weighed_again(cell: Cell, lots: Collection[str] = ()) -> bool:
+    """Whether no container of this run has told yet whether the zero steps, or none with one of these powder lots; or
+    every one is to, as the cell has it.
 
-    A zero that is elsewhere while a lone container is dosed, and back by the next weighing, is told by nothing else.
+    A zero that is elsewhere while a lone container is dosed, and back by the next weighing, is told by nothing else;
+    nor is a force that comes with a powder, and decays too slowly to show sooner.
     No person is asked to put back what was just taken away.
     """
-    is_asked = cell.spec.balance.weighed_twice == "every" or not cell.believed.has_closed
+    told = cell.believed.told_lots
+    is_asked = cell.spec.balance.weighed_twice == "every" or not told or not set(lots) <= set(told)
     return is_asked and not cell.changer.needs_person
 
 

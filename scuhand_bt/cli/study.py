@@ -182,7 +182,7 @@ def _propose(
     held_out = range(seeds.stop, seeds.stop + len(seeds))
     found = optimised(setup, vary, candidates, seeds, held_out, executor, kept)
     if as_json:
-        print_json({**asdict(found), "changes": dict(found.changes), "is_better": found.is_better})
+        print_json({**asdict(found), "changes": dict(found.changes)})
         return
     table = Table("on held-out seeds", "in tolerance", "a run takes", show_edge=False)
     for name, came in (("as written", found.as_written), ("proposed", found.proposed)):
@@ -196,7 +196,11 @@ def _propose(
         )
         return
     if not found.is_better:
-        out.print(f"Of {candidates} candidates the best is no better than what is written.")
+        out.print(
+            f"Of {candidates} candidates the best is no better than what is written, or by no more than chance makes "
+            "of so many seeds: more `--trials` tell.",
+            soft_wrap=True,
+        )
         return
     for line in diff(setup, found.changes):
         out.print(Text(line), soft_wrap=True)

@@ -55,7 +55,8 @@ class BalanceSpec(Spec):
     period_s: Annotated[Seconds, Field(gt=0, le=2)] = 0.1
     limits: BalanceLimits = BalanceLimits()
     weighed_twice: Literal["first", "every"] = "first"
-    """Which containers come and go twice, about the bare pan, as the first of each run does (docs/weighing.md)."""
+    """Which containers come and go twice, about the bare pan, as the first of each run does; the first with each powder
+    lot goes twice (docs/weighing.md)."""
     simulation: BalanceResponseSpec = BalanceResponseSpec()
 
     @property

@@ -50,7 +50,8 @@ class ContainerPlaced(SkillEvent):
 
 
 class ContainerAgain(SkillEvent):
-    """The first container of a run, or one by which its balance seems to adapt, was put on the pan twice."""
+    """The first container of a run or with a powder lot, or one by which its balance seems to adapt, was put on the pan
+    twice."""
 
     KIND: ClassVar = "container_again"
 

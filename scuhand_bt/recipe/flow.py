@@ -157,7 +157,7 @@ class _Follower:
             self._problems.add(node.mark, what, "as many values in each", code="uneven-lists")
         for items in zip(*lists.values(), strict=False):
             within = Scope(dict(zip(lists, items, strict=True)), names.scope)
-            reached = self.of(node.child, replace(names, scope=within), reached, at)
+            reached = self.of(node.child, names.of_round(node, within), reached, at)
         return reached
 
     def _of_choice(self, node: Choice, names: Names, reached: _Reached, at: Call | None) -> _Reached:
@@ -298,6 +298,7 @@ class _Follower:
                 mass_mark=mass_mark,
                 tolerance_mark=tolerance_mark,
                 mass_input=stems,
+                tolerance_input=names.input_in(node, TOLERANCE),
                 beside_mg=beside_mg if math.isfinite(beside_mg) else 0.0,
                 scoop=reached.scoop if is_one and not self._is_try else None,
             )

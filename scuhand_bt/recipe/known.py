@@ -1,7 +1,7 @@
 """What of a workflow's values is known before the run, and between what the others are."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from scuhand_bt.problems import Mark
@@ -71,6 +71,12 @@ class Names:
         argument = node.arguments.get(key)
         is_whole = isinstance(argument, Reference) and not argument.attributes
         return self.inputs.get(argument.name) if isinstance(argument, Reference) and is_whole else None
+
+    def of_round(self, node: Decorator, within: Scope) -> "Names":
+        """The names in a round of a `for_each`: an item stands for the input that its list is."""
+        outer = {name: of for name, of in self.inputs.items() if name not in node.arguments}
+        items = {name: of for name in node.arguments if (of := self.input_in(node, name)) is not None}
+        return replace(self, scope=within, inputs=outer | items)
 
 
 def known(

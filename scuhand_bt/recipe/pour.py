@@ -26,6 +26,8 @@ class Pour:
     tolerance_mark: Mark
     mass_input: str | None = None
     """The sample's input that its mass is, if it is one."""
+    tolerance_input: str | None = None
+    """Likewise of its tolerance."""
     beside_mg: float = 0.0
     """How much more than `most_mg` is still in tolerance, at most; 0 where nothing bounds that."""
     scoop: int | None = None

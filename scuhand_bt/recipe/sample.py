@@ -178,6 +178,10 @@ def check_sample(
             places = [shared[name] for name in names if name in shared]
         return places[0].mark if places else sample.mark
 
+    def where_told(name: str | None, mark: Mark) -> Mark:
+        """Where an input's value stands in the recipe; `mark`, where that does not tell it."""
+        return at(name) if name is not None and (name in own or name in shared) else mark
+
     balance, changer = cell.balance, cell.changer
     for key, container in each_of(sample.inputs):
         if isinstance(container, Container) and changer.driver != "operator" and not changer.takes(container.name):
@@ -188,8 +192,7 @@ def check_sample(
         problems.add(at("mass"), f"the mass is {mass_mg:g} mg", "more than 0", code="bad-mass")
         return
     if tolerance_mg is not None and tolerance_mg < balance.least_tolerance_mg:
-        what = f"the tolerance {tolerance_mg:g} mg cannot be told with a readability of {balance.readability_mg:g} mg"
-        problems.add(at("tolerance"), what, f"at least {balance.least_tolerance_mg:g} mg", code="fine-tolerance")
+        _add_too_fine(tolerance_mg, at("tolerance"), balance, problems)
         if tolerance_mg <= 0:
             return
     elif mass_mg is not None and tolerance_mg is not None and mass_mg <= tolerance_mg:
@@ -200,14 +203,27 @@ def check_sample(
             what = f"the mass taken from '{pour.source}' is {pour.most_mg:g} mg"
             problems.add(at(pour.mass_input or "mass"), what, "more than 0", code="bad-mass")
             return
+    fine = {
+        (pour.tolerance_mg, where_told(pour.tolerance_input, pour.tolerance_mark)): None
+        for pour in sample.flow.pours
+        if pour.tolerance_mg is not None
+        and pour.tolerance_mg < balance.least_tolerance_mg
+        and pour.tolerance_input != "tolerance"
+    }
+    for fine_mg, mark in fine:
+        _add_too_fine(fine_mg, mark, balance, problems)
     for one in sample.flow.unfit:
-        is_told = one.input is not None and (one.input in own or one.input in shared)
-        problems.add(at(one.input or "") if is_told else one.mark, one.what, code="bad-value")
+        problems.add(where_told(one.input, one.mark), one.what, code="bad-value")
     for key, container in each_of(sample.inputs):
         if isinstance(container, Container):
             pours = sample.filled.get(container.id, ())
             marked = at(*(pour.mass_input for pour in pours[:1] if pour.mass_input), key)
             _check_room(container, pours, sources_of(sample.inputs), balance, marked, problems)
+
+
+def _add_too_fine(tolerance_mg: float, mark: Mark, balance: BalanceSpec, problems: Problems) -> None:
+    what = f"the tolerance {tolerance_mg:g} mg cannot be told with a readability of {balance.readability_mg:g} mg"
+    problems.add(mark, what, f"at least {balance.least_tolerance_mg:g} mg", code="fine-tolerance")
 
 
 def _check_room(

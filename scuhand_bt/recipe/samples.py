@@ -150,7 +150,10 @@ class SamplesReader:
             several = sum((one.type.item or one.type).python is Container for one in workflow.inputs.values()) > 1
             container_id = f"{sample_id}/{declared.name}" if several else sample_id
             value = self._read_value(declared.name, declared.type, node, container_id, sources)
-            if value is not None:
+            if value == () and declared.default is None:
+                needs = f"the workflow '{workflow.name}' needs at least one"
+                self.problems.add(node.mark, f"'{key}' is empty", needs, code="bad-value")
+            elif value is not None:
                 inputs[key] = value
         for declared in workflow.inputs.values():
             is_told = declared.name in made or declared.name in entry.keys or declared.name in given

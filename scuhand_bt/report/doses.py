@@ -107,11 +107,18 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
 
 
 def asked_cells(sample: "Sample") -> tuple[str, str]:
-    """What a sample asks for: masses and tolerances."""
-    masses = " + ".join(format_mass(ask.mass_mg) for ask in sample.asks)
-    tolerances = [ask.tolerance_mg for ask in sample.asks] or [sample.tolerance_mg]
+    """What a sample asks for: masses and tolerances; of several powders side by side, as they are given."""
+    masses_mg = _side_by_side(sample, "masses") or [ask.mass_mg for ask in sample.asks]
+    masses = " + ".join(map(format_mass, masses_mg))
+    of_asks = [ask.tolerance_mg for ask in sample.asks] or [sample.tolerance_mg]
+    tolerances = _side_by_side(sample, "tolerances") or of_asks
     known = [f"{one:g}" for one in tolerances if one is not None]
     return masses, f"{' + '.join(known)} mg" if known else ""
+
+
+def _side_by_side(sample: "Sample", name: str) -> list[float]:
+    given = sample.inputs.get(name)
+    return [one for one in given if isinstance(one, float)] if isinstance(given, tuple) else []
 
 
 def amount_cell(plan: "Plan", source: "Source") -> str:

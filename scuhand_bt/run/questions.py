@@ -13,7 +13,7 @@ MEANINGS: Mapping[str, str] = {
     "go": "the action begins",
     "done": "it is done: the run goes on",
     "off": "it is off the pan, which the balance has not shown by itself",
-    "stop": "it is not done: what the recipe says of `operator.refused`, else the run stops and can be resumed",
+    "stop": "the run stops and can be resumed; at an action's question by what the recipe says of `operator.refused`",
     "flag": "the dose is kept and marked; the batch goes on",
     "redo": "the sample is done once more in a new container, then flagged",
     "skip_sample": "the sample is left undone; the batch goes on",
