@@ -244,7 +244,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.SCOOP_NOTHING: Failure(
-        "Two scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
+        "Scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
         "See that the mortar holds what is written, at its station, and that none bridges in the cone; then resume, "
         "or, where the recipe went on without the source, begin a new run of the samples that were not run.",
         ("run",),

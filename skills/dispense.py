@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from scuhand_bt.cell.believed import LAST_LOADS
-from scuhand_bt.cell.believed_powder import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.pan_cleared import SCOOP_DOUBT, STOOD_STILL, stands_still, weigh_broken_off
 from scuhand_bt.cell.places import fall_s, over_balance
@@ -309,7 +308,7 @@ class Dispense(Skill[Dose]):
             cone_mg=cell.believed.cone_mg,
             came_mg=max(0.0, cell.believed.load.came_mg),
             may_scoop_again=self.may_scoop_again and cell.believed.sources_mg[source.name] > FRESH_LOAD_MG,
-            cone_doubt_mg=SCOOP_DOUBT * powder.load_limit_mg,
+            cone_doubt_mg=math.inf if cell.believed.is_probing else SCOOP_DOUBT * powder.load_limit_mg,
             streaming=hand.streaming,
             free_flow=free_flow(powder.bulk_density_mg_per_mm3),
             powder=cell.powder_beliefs.get(source.sheet_key, powder.belief),
@@ -383,7 +382,7 @@ class Dispense(Skill[Dose]):
         lacked_mg = -dose.error_mg if has_begun else math.inf
         believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow", lacked_mg=lacked_mg)
         if source.name in believed.barren_sources:
-            barren = f"{BARREN_LOADS} loads in a row from '{source.name}' have brought nothing"
+            barren = f"{believed.barren[source.name].loads} loads in a row from '{source.name}' have brought nothing"
             left = f"{format_mass(believed.sources_mg.get(source.name, 0.0))} should be left in it"
             done = f"{barren}, open and shaken; it is not scooped from any more"
             mended = "if they stand at the sides, level them, if they bridge in the cone, dry or sieve them"

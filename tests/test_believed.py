@@ -219,6 +219,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "load": {
             "scooped_mg": 3000.0,
             "or_scooped_mg": 0.0,
+            "not_there_mg": 0.0,
             "came_mg": 0.0,
             "is_first": True,
             "flowed_mg": 0.0,
@@ -228,7 +229,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "is_load_doubted": False,
         "yields": {},
         "rests": {},
-        "barren_loads": {},
+        "barren": {},
         "sheet": "glass_beads/L7",
         "sheets_used": 1,
         "slots_used": 1,
@@ -499,7 +500,71 @@ def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_no
     believed.gave_out(is_short=True)
     believed.dosing_ended(31.0, 0.0)
     believed.gave_out(is_short=True)
-    assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({}, {}, True)
+    assert (believed.barren, believed.yields, believed.is_load_doubted) == ({}, {}, True)
+
+
+def barren(*loads_mg: float, there_mg: float = 20_000.0) -> Believed:
+    """After loads that should have brought so much, and of which nothing has come."""
+    believed = Believed()
+    believed.source_holds("beads", there_mg)
+    for mass_mg in loads_mg:
+        believed.scooped(BEADS, mass_mg, Layer(4.0, 10_000.0, believed.missed_mg.get("beads", 0.0)))
+        believed.gave_out(is_short=False)
+        believed.emptied()
+    return believed
+
+
+@pytest.mark.parametrize(
+    ("loads_mg", "is_given_up"),
+    [
+        ([13_000.0], False),
+        ([6_000.0, 5_900.0], False),
+        ([6_000.0, 6_100.0], True),
+        ([1_000.0] * 5, False),
+        ([1_000.0] * 6, True),
+    ],
+)
+def test_a_source_is_given_up_when_most_of_it_was_not_found(loads_mg: list[float], is_given_up: bool) -> None:
+    assert barren(*loads_mg).barren_sources == ({"beads"} if is_given_up else set())
+
+
+def test_a_load_is_probing_while_another_may_follow_it() -> None:
+    believed = barren()
+    believed.scooped(BEADS, 6_000.0)
+    assert not believed.is_probing, "the first one"
+    believed = barren(6_000.0)
+    believed.scooped(BEADS, 5_900.0)
+    assert believed.is_probing
+    believed = barren(6_000.0)
+    believed.scooped(BEADS, 6_100.0)
+    assert not believed.is_probing, "the last one"
+
+
+def test_powder_below_strokes_that_brought_nothing_tells_that_less_is_there() -> None:
+    """With half of what was written in it a mortar was given up, or scooped from at its top again and again."""
+    believed = barren(2_000.0, 2_000.0)
+    believed.scooped(BEADS, 1_500.0, Layer(3.0, 9_000.0, 4_500.0))
+    believed.dosing_ended(1_000.0, 0.0)
+    assert believed.barren == {}
+    assert believed.sources_mg["beads"] == pytest.approx(20_000.0 - 4_000.0 - 1_500.0)
+    assert believed.layers["beads"].beside_mg == pytest.approx(500.0)
+
+
+def test_what_a_stroke_missed_and_the_next_one_found_was_there() -> None:
+    believed = barren(2_000.0)
+    believed.scooped(BEADS, 700.0, Layer(3.0, 9_000.0, 2_500.0), or_mg=2_700.0)
+    believed.dosing_ended(600.0, 0.0)
+    assert believed.sources_mg["beads"] == pytest.approx(20_000.0 - 2_000.0 - 700.0)
+    believed.dosing_ended(1_400.0, 0.0)
+    assert believed.sources_mg["beads"] + believed.cone_mg == pytest.approx(20_000.0 - 2_000.0)
+
+
+def test_a_source_that_was_taken_to_yield_little_has_larger_loads_and_no_heap() -> None:
+    believed = barren()
+    believed.scoops_bring("beads", 0.1)
+    believed.scooped(BEADS, 2_000.0, Layer(3.0, 9_000.0, 2_500.0), or_mg=4_000.0)
+    believed.dosing_ended(600.0, 0.0)
+    assert (believed.load.is_larger, believed.layers["beads"].beside_mg) == (True, 2_500.0)
 
 
 def test_what_a_load_that_brought_nothing_was_to_take_lies_where_strokes_do_not_come() -> None:

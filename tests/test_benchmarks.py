@@ -27,7 +27,7 @@ from benchmarks.code_mutator import mutants_of
 from benchmarks.dem.bed import collected_mg
 from benchmarks.dem.cases import MORTARS, Case, cases
 from benchmarks.dosing_ablation import FREE, LISTED, MODULES, Job, changed, jobs_of, measure_listed, read_variant, work
-from benchmarks.dosing_tables import page_with_worth
+from benchmarks.dosing_tables import RESULTS, page_with_tables, page_with_worth, read
 from benchmarks.dosing_worth import AGAIN, AS_IT_IS, filled, noise, worth
 from benchmarks.oracle_model import SHUT, Model
 from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
@@ -430,6 +430,11 @@ def test_the_table_of_constants_is_filled_from_the_results() -> None:
 def test_what_constants_are_worth_is_as_it_was_measured() -> None:
     page = (Path(__file__).parent.parent / "docs" / "dosing-constants.md").read_text(encoding="utf-8")
     assert page_with_worth(page) == page
+
+
+def test_the_tables_of_the_dosing_benchmark_are_as_they_were_measured() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "dosing-benchmark.md").read_text(encoding="utf-8")
+    assert page_with_tables(page, read(RESULTS)) == page
 
 
 @pytest.mark.parametrize(

@@ -29,12 +29,32 @@ class InVessel:
 
 Vessels: TypeAlias = Annotated[Mapping[str, InVessel], READ_ONLY, AS_WRITTEN]
 
-BARREN_LOADS = 2
-"""So many barren loads in a row, and a source is not scooped from any more: it is empty, or nothing gets out of the
-cone."""
+BARREN_LOADS, BARREN_SHARE, MOST_BARREN_LOADS = 2, 0.6, 6
+"""So many barren loads in a row that should have brought this share of what a source is believed to hold, or the last
+number whatever they should have brought, and it is not scooped from any more: it is empty, or nothing gets out of the
+cone. Until then each stroke goes deeper: less may be in it than was said, and lie below them."""
+LEAST_SHARE = 0.2
+"""Of a source whose scoops should bring a smaller share a load that is larger than thought has found no heap: they go
+deeper than the ones before, which lay above most of the powder."""
 FAR_LESS = 0.75
 """Of the share that a source's scoops brought before: chance makes no less of it, but powder that is not where the next
 stroke was to find it does. 0.6 to 0.9 were tried, with titanium dioxide at half its yield."""
+
+
+@dataclass(frozen=True)
+class Barren:
+    """The last loads of a source, in a row, that have brought nothing."""
+
+    loads: int = 0
+    mass_mg: float = 0.0
+    """What they should have brought."""
+
+    def and_one_of(self, mass_mg: float) -> "Barren":
+        """With one more that should have brought so much."""
+        return Barren(self.loads + 1, self.mass_mg + mass_mg)
+
+
+Barrens: TypeAlias = Annotated[Mapping[str, Barren], READ_ONLY, AS_WRITTEN]
 
 
 @dataclass(frozen=True)
@@ -53,8 +73,8 @@ class BelievedPowder:
     """By source, the share of what its scoops should bring that the last load was seen to; 1 until one was seen."""
     rests: Masses = field(default_factory=lambda: MappingProxyType({}))
     """By source, the last share of a load that comes only shaken, as far as it was seen."""
-    barren_loads: Counts = field(default_factory=lambda: MappingProxyType({}))
-    """By source, how many loads in a row, the last ones, have brought nothing."""
+    barren: Barrens = field(default_factory=lambda: MappingProxyType({}))
+    """By source, of those whose last load has brought nothing."""
     sheet: str | None = None
     """The powder lot (`Source.sheet_key`) that this sheet has touched; None for a fresh one."""
     sheets_used: int = 1
@@ -73,7 +93,13 @@ class BelievedPowder:
     @property
     def barren_sources(self) -> frozenset[str]:
         """Those whose scoops have brought nothing so often that no more are made."""
-        return frozenset(name for name, loads in self.barren_loads.items() if loads >= BARREN_LOADS)
+        return frozenset(name for name, barren in self.barren.items() if self._is_given_up(name, barren))
+
+    @property
+    def is_probing(self) -> bool:
+        """Whether the cone's load comes after one that has brought nothing, and another follows if this does not."""
+        barren = self.barren.get(name := self.cone_source or "")
+        return barren is not None and not self._is_given_up(name, barren.and_one_of(self.load.scooped_mg))
 
     @property
     def missed_mg(self) -> Masses:
@@ -173,7 +199,8 @@ class BelievedPowder:
                 self._scoops_brought(name, load)
         elif load.scooped_mg > 0.0:
             if is_wide:
-                self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
+                barren = self.barren.get(name, Barren()).and_one_of(load.scooped_mg)
+                self._set(barren={**self.barren, name: barren})
             self._lies_beside(name, load.scooped_mg)
         if is_short:
             self._set(is_load_doubted=True)
@@ -204,12 +231,12 @@ class BelievedPowder:
     def source_refilled(self, name: str, mass_mg: float) -> None:
         """A person has put so much more into a source, which may be scooped from again if it gave nothing."""
         self.source_holds(name, self.sources_mg.get(name, 0.0) + mass(mass_mg))
-        self._set(barren_loads={other: loads for other, loads in self.barren_loads.items() if other != name})
+        self._set(barren={other: barren for other, barren in self.barren.items() if other != name})
 
     def sources_mended(self) -> None:
         """A person has looked after the sources that gave nothing: they may be scooped from again."""
-        barren = self.barren_sources
-        self._set(barren_loads={name: loads for name, loads in self.barren_loads.items() if name not in barren})
+        given_up = self.barren_sources
+        self._set(barren={name: barren for name, barren in self.barren.items() if name not in given_up})
 
     # --- the sheet
 
@@ -229,14 +256,16 @@ class BelievedPowder:
         if (name := self.cone_source) is None:
             return
         load = replace(self.load, came_mg=self.load.came_mg + mass_mg)
-        if not load.is_barren and name in self.barren_loads:
-            self._set(barren_loads={one: loads for one, loads in self.barren_loads.items() if one != name})
+        if not load.is_barren and name in self.barren:
+            load = self._was_not_there(name, load, self.barren[name].mass_mg)
+            self._set(barren={one: barren for one, barren in self.barren.items() if one != name})
         self._set(cone_mg=self.cone_mg - mass_mg, load=load)
         if self.cone_mg < 0.0:  # it was in the cone, and is not in its source
             self._moved_to_cone(name, -self.cone_mg)
         share = self.yields.get(name, 1.0)
         more_mg = load.came_mg - share * load.scooped_mg
-        if more_mg > SURPLUS * (load.came_mg - more_mg) and load.or_scooped_mg > load.scooped_mg > 0.0:
+        may_be_found = share >= LEAST_SHARE and load.or_scooped_mg > load.scooped_mg > 0.0
+        if may_be_found and more_mg > SURPLUS * (load.came_mg - more_mg):
             load = self._found_what_was_missed(name, load)
             more_mg = load.came_mg - share * load.scooped_mg
             self._moved_to_cone(name, max(0.0, -more_mg - self.cone_mg))
@@ -268,12 +297,27 @@ class BelievedPowder:
             there = replace(layer, beside_mg=layer.beside_mg + mass_mg, missed_mg=mass_mg)
             self._set(layers={**self.layers, name: there})
 
+    def _is_given_up(self, name: str, barren: Barren) -> bool:
+        there_mg = self.sources_mg.get(name, 0.0) + (self.cone_mg if self.cone_source == name else 0.0)
+        is_most_of_it = barren.loads >= BARREN_LOADS and barren.mass_mg >= BARREN_SHARE * there_mg
+        return is_most_of_it or barren.loads >= MOST_BARREN_LOADS
+
+    def _was_not_there(self, name: str, load: Load, missing_mg: float) -> Load:
+        """Below strokes that brought nothing there is powder: what they should have brought never was there."""
+        if (layer := self.layers.get(name)) is not None:
+            layer = replace(layer, beside_mg=max(0.0, layer.beside_mg - missing_mg))
+            self._set(layers={**self.layers, name: layer})
+        missing_mg = min(missing_mg, self.sources_mg.get(name, 0.0))
+        self.source_holds(name, self.sources_mg.get(name, 0.0) - missing_mg)
+        return replace(load, not_there_mg=missing_mg)
+
     def _found_what_was_missed(self, name: str, load: Load) -> Load:
         """More has come than was expected: what the stroke before had missed lay on the way, and none of it beside."""
         if (layer := self.layers.get(name)) is not None:
             beside_mg = max(0.0, layer.beside_mg - (load.or_scooped_mg - load.scooped_mg))
             self._set(layers={**self.layers, name: replace(layer, beside_mg=beside_mg)})
-        self._set(load=replace(load, scooped_mg=load.or_scooped_mg, or_scooped_mg=0.0))
+        self.source_holds(name, self.sources_mg.get(name, 0.0) + load.not_there_mg)
+        self._set(load=replace(load, scooped_mg=load.or_scooped_mg, or_scooped_mg=0.0, not_there_mg=0.0))
         return self.load
 
     def _moved_to_cone(self, name: str, mass_mg: float) -> None:

@@ -36,6 +36,8 @@ class Load:
     """What its scoops should have brought, by their geometry; 0 for one that is known otherwise."""
     or_scooped_mg: float = 0.0
     """The same, if what the stroke before had missed was on the way of the last one."""
+    not_there_mg: float = 0.0
+    """Taken off what its source is believed to hold when it came: loads before it had brought nothing."""
     came_mg: float = 0.0
     """What has arrived on the balance."""
     is_first: bool = False
