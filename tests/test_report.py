@@ -48,6 +48,7 @@ sources:
   beads: {{station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g, lot: "{EVIL}"}}
   msg: {{station: mortar_bay_2, container: small_agate_mortar, powder: monosodium_glutamate, amount: 8 g}}
 """
+SOURCES = BATCH[BATCH.index("sources:") :]
 NO_FLOW = "faults:\n  - {fault: valve.stuck_closed, sample: dry}\n"
 
 
@@ -108,6 +109,19 @@ def test_a_load_that_was_not_the_last_of_its_dose_is_not_told_with_its_verdict(t
     assert len(parts) >= 1
     assert all(caption.endswith('of 7.0000 g <span class="soft">so far</span>') for caption in parts)
     assert whole.endswith('<span class="good">in tolerance</span>')
+
+
+def test_of_two_powders_each_dose_has_its_name_and_the_worst_is_so_by_its_own_tolerance(tmp_path: Path) -> None:
+    asked = "masses: [300 mg, 300 mg], tolerances: [3 mg, 6 mg], first: beads, sources: [beads, msg]"
+    sample = f"samples: [{{id: mix, container: alumina_crucible, {asked}}}]\n"
+    ran = dry_run(tmp_path, f"recipe: two\nworkflow: weigh_in\n{sample}{SOURCES}", controller=None, seed=5)
+    beads, msg = ran.result.samples[0].doses
+    assert abs(msg.error_mg) / 6.0 > abs(beads.error_mg) / 3.0
+    assert abs(msg.error_mg) - 6.0 < abs(beads.error_mg) - 3.0, "nearer to its bound in mg is the other one"
+    text = page_of(ran.journal)
+    assert f"{msg.error_mg:+.1f} mg of ±6worst error" in Tables(text).text
+    assert "mix: glass_beads/" in text
+    assert "mix: monosodium_glu…</text>" in text
 
 
 def test_ids_in_another_script_are_drawn_as_text_without_a_word_about_fonts(tmp_path: Path) -> None:

@@ -117,6 +117,14 @@ def test_a_run_that_is_paused_says_so_and_the_newest_dose_comes_first(ran: Ran, 
     assert rows[:3] == ["s29", "s28", "s27"]
 
 
+def test_what_each_powder_of_a_sample_came_to_stands_where_there_is_room(ran: Ran) -> None:
+    sample = ran.result.samples[0]
+    doses = tuple(sample.doses[0].model_copy(update={"lot": lot}) for lot in ("sand", "salt"))
+    lines = drawn(seen(ran, results=[sample.model_copy(update={"doses": doses})], tree=TREE[:5]), (80, 24))
+    rows = [line.split()[0] for line in lines if "in tolerance" in line and "last:" not in line]
+    assert {"sand", "salt"} <= set(rows)
+
+
 def of_the_rest(first_s: float, plan: Plan) -> float:
     """What it is stretched by when the first took so long: a fifth of the plan counts beside it."""
     return (first_s + 0.2 * plan.duration_s) / (plan.done_s["a"] + 0.2 * plan.duration_s)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from scuhand_bt.specs import Source
 
 HOLDS = "holds (sim.)"
-"""What is in the container, which only a simulation can tell: of several powders all."""
+"""What is in the container, which only a simulation can tell: of several powders all, and so in the sample's row."""
 RECORDED = "recorded"
 COMPOSITION = "composition"
 """What it came to, in atoms per formula of the product."""
@@ -69,7 +69,7 @@ def columns_for(results: Sequence[SampleResult]) -> list[str]:
 
 def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
     """A sample's row, and below it one for each of its doses where there are several."""
-    is_single = len(result.doses) < 2
+    is_single, is_one_container = len(result.doses) < 2, _is_one_container(result)
     verdict = said_of(result) if result.code is None else f"{said_of(result)}, {result.code}"
     counts = {
         "pulses": str(result.pulses),
@@ -82,6 +82,7 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
             "id": result.id,
             "container": result.container or "",
             **(_masses(result) if is_single else {}),
+            **(_held(result) if is_one_container else {}),
             **counts,
             "verdict": verdict,
             "controller": result.controller or "",
@@ -91,6 +92,7 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
         tone_of(result),
         {
             **(_numbers(result) if is_single else {}),
+            **({HOLDS: result.true_mg} if is_one_container else {}),
             "pulses": result.pulses,
             "scoops": result.scoops,
             "vibr. s": result.vibration_s,
@@ -99,9 +101,14 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
     )
     for dose in () if is_single else result.doses:
         yield DoseRow(
-            {"id": dose_name(dose, result), **_masses(dose), "verdict": said_of(dose)},
+            {
+                "id": dose_name(dose, result),
+                **_masses(dose),
+                **({} if is_one_container else _held(dose)),
+                "verdict": said_of(dose),
+            },
             tone_of(dose),
-            _numbers(dose),
+            {**_numbers(dose), **({} if is_one_container else {HOLDS: dose.true_mg})},
             is_part=True,
         )
 
@@ -181,8 +188,11 @@ def _indent(row: DoseRow) -> str:
 
 def dose_name(dose: DoseResult, result: SampleResult) -> str:
     """Which of a sample's doses it is."""
-    is_one_container = len({one.container for one in result.doses}) == 1
-    return dose.lot if is_one_container else f"{dose.container}: {dose.lot}"
+    return dose.lot if _is_one_container(result) else f"{dose.container}: {dose.lot}"
+
+
+def _is_one_container(result: SampleResult) -> bool:
+    return len({one.container for one in result.doses}) < 2
 
 
 def _masses(one: SampleResult | DoseResult) -> dict[str, str]:
@@ -192,8 +202,11 @@ def _masses(one: SampleResult | DoseResult) -> dict[str, str]:
         "dispensed": format_mass(one.dispensed_mg) if one.dispensed_mg is not None else "–",
         "error mg": f"{one.error_mg:+.1f} ± {one.uncertainty_mg:.1f}" if has_error else "–",
         "tol. mg": f"{one.tolerance_mg:g}" if one.tolerance_mg is not None else "",
-        HOLDS: format_mass(one.true_mg) if one.true_mg is not None else "–",
     }
+
+
+def _held(one: SampleResult | DoseResult) -> dict[str, str]:
+    return {HOLDS: format_mass(one.true_mg) if one.true_mg is not None else "–"}
 
 
 def _numbers(one: SampleResult | DoseResult) -> dict[str, float | None]:
@@ -202,5 +215,4 @@ def _numbers(one: SampleResult | DoseResult) -> dict[str, float | None]:
         "dispensed": one.dispensed_mg,
         "error mg": one.error_mg,
         "tol. mg": one.tolerance_mg,
-        HOLDS: one.true_mg,
     }

@@ -150,11 +150,11 @@ class Picture:
             pair.add_column()
             pair.add_row(_drawn(self._shown.tree, room), table)
             return list(self._lines(console, options, [pair]))[:room]
-        of_doses = min(len(newest) + 2, max(room // 2, room - len(self._shown.tree))) if newest and room > 4 else 0
-        lines = list(self._lines(console, options, [_drawn(self._shown.tree, room - of_doses)]))[: room - of_doses]
-        if of_doses:
-            lines += list(self._lines(console, options, [doses_table(newest, width)]))[:of_doses]
-        return lines
+        table = doses_table(newest[:room], width)
+        doses = list(self._lines(console, options, [table])) if newest and room > 4 else []
+        doses = doses[: max(room // 2, room - len(self._shown.tree))]
+        of_tree = room - len(doses)
+        return list(self._lines(console, options, [_drawn(self._shown.tree, of_tree)]))[:of_tree] + doses
 
     @staticmethod
     def _lines(

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from scuhand_bt.journal.results import DoseResult, SampleResult
 from scuhand_bt.quantity import counted
 from scuhand_bt.report.dose_curves import CurveOfDose, Point
+from scuhand_bt.report.doses import dose_name
 from scuhand_bt.report.svg import INK, as_svg, drawing, new_figure, plain_axes
 from scuhand_bt.report.time_spent import ACTIVITIES, Activity, JobTime
 
@@ -199,4 +200,4 @@ def _doses(run: Sequence[SampleResult]) -> list[tuple[SampleResult, DoseResult]]
 
 
 def _name(result: SampleResult, dose: DoseResult) -> str:
-    return result.id if len(result.doses) < 2 else f"{result.id}: {dose.container}, {dose.lot}"
+    return result.id if len(result.doses) < 2 else f"{result.id}: {dose_name(dose, result)}"

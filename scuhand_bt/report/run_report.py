@@ -105,7 +105,7 @@ class RunFacts:
         doses = [dose for result in self.results for dose in result.doses]
         if doses:
             yield "median |error|", f"{statistics.median(abs(dose.error_mg) for dose in doses):.1f} mg"
-            worst = max(doses, key=lambda dose: abs(dose.error_mg) - dose.tolerance_mg)
+            worst = max(doses, key=lambda dose: abs(dose.error_mg) / dose.tolerance_mg if dose.tolerance_mg else 0.0)
             yield "worst error", f"{worst.error_mg:+.1f} mg of ±{worst.tolerance_mg:g}"
             yield "dosed", format_mass(sum(dose.dispensed_mg for dose in doses))
         yield "run time", format_duration(sum(self.time.total_s.values()))
