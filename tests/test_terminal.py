@@ -53,6 +53,11 @@ workflow: fill_xrd_holder
 defaults: {container: xrd_holder, source: beads}
 samples: [{id: a, mass: 30 mg}, {id: b, mass: 30 mg}, {id: c, mass: 30 mg}]
 """
+TWO_SOURCES = """\
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}
+  msg: {station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: 8 g}
+"""
 LONG = "Put a fresh sheet into the hand; this one has touched monosodium_glutamate/MSG-17, which no other may touch."
 WORK = ("scoop", "return_leftover")
 TREE = [Node(min(place, 9), f"step-{place}", "running") for place in range(40)]
@@ -123,6 +128,16 @@ def test_what_each_powder_of_a_sample_came_to_stands_where_there_is_room(ran: Ra
     lines = drawn(seen(ran, results=[sample.model_copy(update={"doses": doses})], tree=TREE[:5]), (80, 24))
     rows = [line.split()[0] for line in lines if "in tolerance" in line and "last:" not in line]
     assert {"sand", "salt"} <= set(rows)
+
+
+def test_a_mass_is_not_told_of_all_the_powders_of_a_sample(tmp_path: Path) -> None:
+    samples = f"""\
+  - {{id: mix, workflow: mix_at_ratio, container: alumina_crucible, mass: 80 mg, ratio: 50 %, first: beads, second: msg}}
+"""
+    session = dry_run(tmp_path, f"recipe: two\nsamples:\n{samples}{TWO_SOURCES}", controller=None).session
+    view = LiveView(Console(file=io.StringIO()), session.cell, session.plan, Control(), "SIMULATED")
+    view.attempt_started(session.plan.jobs[0], 1)
+    assert view.shown().job == "mix: 80.0 mg ± 2.0 mg into alumina_crucible"
 
 
 def of_the_rest(first_s: float, plan: Plan) -> float:

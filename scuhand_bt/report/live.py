@@ -216,9 +216,10 @@ def _about(job: Job, attempt: int) -> str:
     if sample is None or sample.mass_mg is None:
         return f"{job.name}{again}"
     tolerance = f" ± {format_mass(sample.tolerance_mg)}" if sample.tolerance_mg is not None else ""
-    powders = " and ".join(source.powder.name for source in sample.sources)
+    # Of several powders its mass may be that of one: which one is its workflow's to say.
+    of = f" of {sample.sources[0].powder.name}" if len(sample.sources) == 1 else ""
     into = f" into {sample.container.name}" if sample.container is not None else ""
-    return f"{job.name}{again}: {format_mass(sample.mass_mg)}{tolerance} of {powders}{into}"
+    return f"{job.name}{again}: {format_mass(sample.mass_mg)}{tolerance}{of}{into}"
 
 
 def end_line(result: BatchResult, seconds: float) -> str:
