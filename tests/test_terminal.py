@@ -131,8 +131,8 @@ def test_what_each_powder_of_a_sample_came_to_stands_where_there_is_room(ran: Ra
 
 
 def test_a_mass_is_not_told_of_all_the_powders_of_a_sample(tmp_path: Path) -> None:
-    samples = f"""\
-  - {{id: mix, workflow: mix_at_ratio, container: alumina_crucible, mass: 80 mg, ratio: 50 %, first: beads, second: msg}}
+    samples = """\
+  - {id: mix, workflow: mix_at_ratio, container: alumina_crucible, mass: 80 mg, ratio: 50 %, first: beads, second: msg}
 """
     session = dry_run(tmp_path, f"recipe: two\nsamples:\n{samples}{TWO_SOURCES}", controller=None).session
     view = LiveView(Console(file=io.StringIO()), session.cell, session.plan, Control(), "SIMULATED")
