@@ -557,6 +557,10 @@ def test_what_a_stroke_missed_and_the_next_one_found_was_there() -> None:
     assert believed.sources_mg["beads"] == pytest.approx(20_000.0 - 2_000.0 - 700.0)
     believed.dosing_ended(1_400.0, 0.0)
     assert believed.sources_mg["beads"] + believed.cone_mg == pytest.approx(20_000.0 - 2_000.0)
+    believed.scooped(BEADS, 500.0, Layer(2.0, 8_000.0, 500.0), or_mg=1_500.0)
+    believed.dosing_ended(1_900.0, 0.0)
+    there_mg = believed.sources_mg["beads"] + believed.cone_mg + believed.load.came_mg
+    assert there_mg == pytest.approx(20_000.0), "it is put back once"
 
 
 def test_a_source_that_was_taken_to_yield_little_has_larger_loads_and_no_heap() -> None:

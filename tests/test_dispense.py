@@ -410,6 +410,18 @@ def test_two_loads_that_brought_nothing_are_told_as_such(rig: Rig) -> None:
             rig.dispense(0.0, reason="no_flow")
 
 
+def test_a_load_after_one_that_brought_nothing_is_not_shaken_for_as_long_while_another_may_follow(rig: Rig) -> None:
+    skill, why = rig.skill("dispense", mass_mg=TARGET_MG), []
+    for there_mg in (20_000.0, 20_000.0, 6_000.0):
+        rig.cell.believed.emptied()
+        rig.cell.believed.source_holds("store", there_mg)
+        rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
+        why.append(skill.request(rig.cell).given_up(0.0))
+        if len(why) == 1:
+            rig.cell.believed.gave_out(is_short=True)
+    assert why == ["no_flow", "empty", "no_flow"], "the first one, one with others to come, and the last one"
+
+
 def test_a_zero_that_has_sunk_is_no_powder_that_went_back(rig: Rig) -> None:
     rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
     with pytest.raises(SkillFailed, match=r"of its load 0 mg have come"):
