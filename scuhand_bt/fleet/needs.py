@@ -61,7 +61,8 @@ class Offer(BaseModel):
 def needs_of(plan: Plan, *, simulated: bool) -> Needs:
     """What this plan needs."""
     samples, sources = plan.recipe.samples, plan.recipe.sources.values()
-    into = {source.leftover_to: source.sheet_key for source in sources if source.leftover_to}
+    taken = [demand.source for demand in plan.demands if demand.samples]
+    into = {source.leftover_to: source.sheet_key for source in taken if source.leftover_to}
     containers = [one for sample in samples for one in sample.all_containers]
     filled = [
         one.empty_mass_mg + sum(pour.mass_mg or 0.0 for pour in sample.filled.get(one.id, ()))
