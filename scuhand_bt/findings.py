@@ -79,7 +79,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A wider tolerance, or a balance of finer digits (docs/weighing.md says what is told of which).",
         ),
         "wide-tolerance": Finding("A tolerance as large as its mass.", "A smaller tolerance, or a larger mass."),
-        "too-heavy": Finding("Container and powder are beyond the balance's maximum.", "Less, or a lighter container."),
+        "too-heavy": Finding(
+            "A container, with its powder, or a check weight is beyond the balance's maximum.",
+            "Less, or a lighter container or weight.",
+        ),
         "container-overfull": Finding("More goes into a container than it holds.", "Less, or a larger container."),
         "source-overfull": Finding(
             "A source's amount does not fit into its mortar.", "Correct the amount or the mortar."

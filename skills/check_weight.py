@@ -14,6 +14,7 @@ from scuhand_bt.skill import (
     Failure,
     Forecast,
     Milligrams,
+    OnPan,
     RepeatabilityMeasured,
     Skill,
     SkillFailed,
@@ -45,7 +46,7 @@ class CheckWeight(Skill[Milligrams]):
     typical_s = 120.0
     interrupted = "repeat"
 
-    weight_mg: Annotated[Milligrams, Field(gt=0)]
+    weight_mg: Annotated[Milligrams, Field(gt=0), OnPan()]
     tolerance_mg: Milligrams = 1.0
     times: Annotated[int, Field(ge=1, le=50)] = 1
 
