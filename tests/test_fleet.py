@@ -766,8 +766,12 @@ def test_what_holds_up_a_run_and_how_much_of_it_is_left_is_said_in_the_queue_and
                     while [(one.said, one.left_s) for one in await queue.jobs(every=False, limit=9)] != told:
                         await asyncio.sleep(0.05)
                     assert [one.ahead_s for one in await queue.stations()] == [left_s]
-                station.leave()
-                await working
+            while "goes on with it" not in (told := await queue.jobs(every=False, limit=9))[0].said:
+                await asyncio.sleep(0.05)
+            assert [one.left_s for one in told] == [None], "nobody is at it now"
+            assert [one.ahead_s for one in await queue.stations()] == [order.order.duration_s]
+            station.leave()
+            await working
             written.close()
 
     run(check())
