@@ -79,7 +79,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A wider tolerance, or a balance of finer digits (docs/weighing.md says what is told of which).",
         ),
         "wide-tolerance": Finding("A tolerance as large as its mass.", "A smaller tolerance, or a larger mass."),
-        "too-heavy": Finding("Container and powder are beyond the balance's maximum.", "Less, or a lighter container."),
+        "too-heavy": Finding(
+            "A container, with its powder, or a check weight is beyond the balance's maximum.",
+            "Less, or a lighter container or weight.",
+        ),
         "container-overfull": Finding("More goes into a container than it holds.", "Less, or a larger container."),
         "source-overfull": Finding(
             "A source's amount does not fit into its mortar.", "Correct the amount or the mortar."
@@ -320,8 +323,8 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "The park station farther away, or a smaller zone.",
         ),
         "pan-in-no-zone": Finding(
-            "The arm over the pan is in none of the zones that skills lease to change containers: it may be there.",
-            "A zone that holds all that moves there.",
+            "The arm over the pan is in none of the zones that a skill leases to change containers: it may be there.",
+            "A zone that holds all that moves there, leased by each such skill.",
         ),
         "port-taken": Finding("Two devices are on one port.", "Give each its own."),
         "strained": _warning(

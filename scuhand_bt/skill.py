@@ -61,7 +61,7 @@ from scuhand_bt.quantity import (
     Seconds,
     plain_name,
 )
-from scuhand_bt.specs import Container, Keeping, Powder, Source
+from scuhand_bt.specs import Container, Keeping, OnPan, Powder, Source
 
 __all__ = [
     "BalanceDoubted",
@@ -87,6 +87,7 @@ __all__ = [
     "Milligrams",
     "Millimetres",
     "MillimetresPerSecond",
+    "OnPan",
     "Powder",
     "Pulsed",
     "Ratio",

@@ -363,6 +363,13 @@ class Container(ContainerKind):
         return ContainerKind.model_construct(**{name: getattr(self, name) for name in ContainerKind.model_fields})
 
 
+class OnPan:
+    """Marks a mass that a skill has put on the pan as it is, so that `check` refuses one beyond the balance's maximum.
+
+    weight_mg: Annotated[Milligrams, OnPan()]
+    """
+
+
 Verdict = Literal["in tolerance", "under", "over"]
 """What is said of a dose (`dosing/verdict.py`)."""
 

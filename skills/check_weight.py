@@ -14,6 +14,7 @@ from scuhand_bt.skill import (
     Failure,
     Forecast,
     Milligrams,
+    OnPan,
     RepeatabilityMeasured,
     Skill,
     SkillFailed,
@@ -25,8 +26,8 @@ from scuhand_bt.skill import (
 class CheckWeight(Skill[Milligrams]):
     """Have the operator put a check weight on the empty pan, and off again; gives how far off the balance is.
 
-    Arm and hand stand still from each request to its answer. Several `times`, it tells the balance's repeatability, and
-    the worst of them counts.
+    Arm and hand stand still from each request to its answer, and for each weighing. Several `times`, it tells the
+    balance's repeatability, and the worst of them counts.
     """
 
     raises = (Code.OPERATOR_REFUSED, "balance.inaccurate", "balance.not_bare")
@@ -45,7 +46,7 @@ class CheckWeight(Skill[Milligrams]):
     typical_s = 120.0
     interrupted = "repeat"
 
-    weight_mg: Annotated[Milligrams, Field(gt=0)]
+    weight_mg: Annotated[Milligrams, Field(gt=0), OnPan()]
     tolerance_mg: Milligrams = 1.0
     times: Annotated[int, Field(ge=1, le=50)] = 1
 
@@ -86,10 +87,10 @@ class CheckWeight(Skill[Milligrams]):
 
     def _weigh(self, cell: Cell) -> Steps[float]:
         """Put on and off once: how much more it weighs than it is."""
-        bare = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
+        bare = yield from cell.right_of_way.stable_mean()
         yield from self._ask(cell, f"Put the check weight of {format_mass(self.weight_mg)} on the empty pan.")
         cell.weight_on_pan(self.weight_mg)
-        loaded = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
+        loaded = yield from cell.right_of_way.stable_mean()
         yield from self._ask(cell, "Take the check weight off the pan.")
         cell.weight_on_pan(0.0)
         error_mg = loaded.value_mg - bare.value_mg - self.weight_mg

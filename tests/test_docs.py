@@ -280,11 +280,20 @@ def test_every_option_that_is_said_is_one_of_some_command() -> None:
         assert said <= known, page.name
 
 
+def _anchors(text: str) -> set[str]:
+    """What a page's headings are called in links, as GitHub has it."""
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_link_and_module_that_a_page_names_exists(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
-        assert target.startswith("http") or (page.parent / target).exists(), target
+    for target, part in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", text):
+        if not target.startswith("http"):
+            there = page.parent / target if target else page
+            assert there.exists(), target
+            assert not part or part in _anchors(there.read_text(encoding="utf-8")), f"{target}#{part}"
     for module in re.findall(r"python -m (benchmarks[\w.]*)", text):
         named = REPOSITORY.joinpath(*module.split("."))
         assert named.with_suffix(".py").is_file() or (named / "__main__.py").is_file(), module

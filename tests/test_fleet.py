@@ -128,9 +128,18 @@ def test_what_a_station_lacks_is_said(plan: Plan, offer: Offer, changes: dict[st
     assert lack.startswith(words)
 
 
+def test_a_check_weight_has_to_be_within_a_station_s_maximum(lab_folder: LabFolder, offer: Offer) -> None:
+    text = "recipe: start\nworkflow: start_of_day\nsamples: [{id: check, weight: 20 g}]\n"
+    needs = needs_of(plan_of(lab_folder.folder, "start.yaml", text), simulated=True)
+    (lack,) = missing(needs, offer.model_copy(update={"maximum_mg": 10_000.0}))
+    assert lack == "its balance's maximum is 10.0000 g, and 20.0000 g would stand on it"
+
+
 def test_a_station_lacks_the_vessel_for_leftovers_or_it_holds_another_lot(plan: Plan, offer: Offer) -> None:
     beads = plan.recipe.sources["beads"].model_copy(update={"leftover": "discard", "leftover_to": "jar"})
-    needs = needs_of(replace(plan, recipe=replace(plan.recipe, sources={"beads": beads})), simulated=True)
+    spare = beads.model_copy(update={"name": "spare", "station": "mortar_bay_2", "lot": "GB-2"})  # nobody takes from it
+    demands = (replace(plan.demands[0], source=beads), replace(plan.demands[0], source=spare, samples=0))
+    needs = needs_of(replace(plan, demands=demands), simulated=True)
     assert missing(needs, offer) == ["it has no vessel 'jar'"]
     has_jar = offer.model_copy(update={"names": {**offer.names, "vessel": ("waste", "jar")}})
     assert missing(needs, has_jar) == []
@@ -757,8 +766,12 @@ def test_what_holds_up_a_run_and_how_much_of_it_is_left_is_said_in_the_queue_and
                     while [(one.said, one.left_s) for one in await queue.jobs(every=False, limit=9)] != told:
                         await asyncio.sleep(0.05)
                     assert [one.ahead_s for one in await queue.stations()] == [left_s]
-                station.leave()
-                await working
+            while "goes on with it" not in (told := await queue.jobs(every=False, limit=9))[0].said:
+                await asyncio.sleep(0.05)
+            assert [one.left_s for one in told] == [None], "nobody is at it now"
+            assert [one.ahead_s for one in await queue.stations()] == [order.order.duration_s]
+            station.leave()
+            await working
             written.close()
 
     run(check())

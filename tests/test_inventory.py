@@ -621,6 +621,20 @@ def test_a_vessel_for_leftovers_has_its_entry_and_an_empty_one_has_no_lot(
     )
 
 
+def test_what_no_sample_takes_from_does_not_come_into_a_vessel(inventory: Call, lab_folder: LabFolder) -> None:
+    lab_folder.replace(
+        "robot/cell.yaml", "  sheet_swap:", "  jar: {kind: waste, position: [0 mm, 320 mm, 100 mm]}\n  sheet_swap:"
+    )
+    spare = "  spare: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, amount: 5 g, lot: L8}\n"
+    text = RECIPE.replace("sources:\n", f"sources:\n{spare}") + "leftover: {to: jar}\n"
+    path = str(lab_folder.write("recipes/one.yaml", text))
+    inventory("inventory", "set", "jar", "2 g", "--powder", "glass_beads", "--lot", "L7")
+    code, said, noted = inventory("check", "--fast", path)
+    assert (code, "[unused-source]" in said, "the vessel 'jar'" in noted) == (0, True, False)
+    inventory("inventory", "set", "jar", "2 g", "--powder", "glass_beads", "--lot", "L8")
+    assert "what is left of glass_beads/L7 is to go there" in inventory("check", "--fast", path)[2]
+
+
 def test_less_than_nothing_is_refused(inventory: Call) -> None:
     code, _, error = inventory("inventory", "set", "--powder", "glass_beads", "mortar_bay", "--", "-1 g")
     assert code == 2

@@ -52,15 +52,12 @@ def test_a_device_that_was_never_commanded_is_had_even_if_it_moves(leases: Lease
     assert leases.take(["arm"], ONE) is True
 
 
-def test_only_ones_own_devices_are_given_back_and_what_is_kept_stays(leases: Leases) -> None:
+def test_only_ones_own_devices_are_given_back(leases: Leases) -> None:
     leases.take(["hand", "arm"], ONE)
     leases.take(["balance"], OTHER)
-    leases.give_back_devices(ONE, keep=["arm"])
-    assert leases.take(["balance"], ONE) is False
-    assert leases.take(["arm"], OTHER) is False
-    assert leases.take(["hand"], OTHER) is True
     leases.give_back(ONE)
-    assert leases.take(["arm"], OTHER) is True
+    assert leases.take(["balance"], ONE) is False
+    assert leases.take(["arm", "hand"], OTHER) is True
 
 
 def test_who_waits_is_woken_by_the_news_of_the_devices_or_at_last_by_the_time(leases: Leases, cell: FakeCell) -> None:

@@ -5,8 +5,10 @@ from typing import Any
 
 import pytest
 from daily import first_daily
+from py_trees.common import Status
 from running import Watching, make_lab, shared_planner
 
+from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.events.entry import Event, Note
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.run_events import Paused
@@ -29,6 +31,22 @@ SWINGS_S, IN_THE_MORTAR_S, SETTLES_S = 1.0, 5.5, 7.5
 """When the wheel swings and the arm goes to the mortar; when the lip is on its wall; when the pan comes to rest."""
 
 
+LEAVING = """
+workflow: fill_crucible
+inputs: {source: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 2 mg}}
+result: $dose
+tree:
+  sequence:
+    - place_and_scoop: {source: $source, container: $container, mass: $mass}
+    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance, as: dose}
+    - parallel:
+        - remove_container:
+        - sequence: [{park: }, {return_leftover: {source: $source}}]
+"""
+OVER_THE_PAN_MM, ASIDE_OF_IT_MM = 10.0, CLEAR_MM + 5.0
+"""How far the apex has come from the pan's middle, the cone in the zone still."""
+
+
 class Wishing(Watching):
     """Wishes something at a time of the run, once."""
 
@@ -43,11 +61,26 @@ class Wishing(Watching):
             self.wish = ""
 
 
+class InTheZone(Wishing):
+    """Wishes it as the arm leaves the pan, so far from its middle."""
+
+    def __init__(self, wish: str, aside_mm: float) -> None:
+        super().__init__(wish, 0.0)
+        self.aside_mm = aside_mm
+
+    def ticked(self, root: Any) -> None:
+        assert self.session is not None
+        cell = self.session.cell
+        is_parking = any(node.name == "park" and node.status is Status.RUNNING for node in root.iterate())
+        if is_parking and cell.aside_of_pan_mm() > self.aside_mm and "pan" in cell.zones_entered():
+            super().ticked(root)
+
+
 class Desk:
     """A lab with one recipe, run and resumed."""
 
-    def __init__(self, folder: Path) -> None:
-        self.lab = load_lab(make_lab(folder / "lab"))
+    def __init__(self, folder: Path, **files: str) -> None:
+        self.lab = load_lab(make_lab(folder / "lab", **files))
         recipe = self.lab.folder / "recipes" / "one.yaml"
         recipe.parent.mkdir()
         recipe.write_text(RECIPE, encoding="utf-8")
@@ -125,3 +158,20 @@ def test_both_come_to_their_end_before_a_pause_that_halts_none(desk: Desk) -> No
 def test_a_run_that_was_stopped_there_is_resumed_to_its_end(desk: Desk, at_s: float) -> None:
     assert desk.go(Wishing("stop_now", at_s)).exit_code == 130
     require_one_sound_dose(desk, desk.go(Wishing("", 0.0), resumes=True))
+
+
+@pytest.mark.parametrize("wish", first_daily("pause_now", "stop_now"))
+@pytest.mark.parametrize("aside_mm", [ASIDE_OF_IT_MM, OVER_THE_PAN_MM])
+def test_what_the_arm_is_halted_in_on_its_way_out_of_is_not_swept_before_it_has_left_it(
+    tmp_path: Path, wish: str, aside_mm: float
+) -> None:
+    """`remove_container`, the first to go on, had leased the arm to see where it is, and so its own zone was free."""
+    desk = Desk(tmp_path, trees__fill_crucible=LEAVING)
+    wishing = InTheZone(wish, aside_mm)
+    result = desk.go(wishing)
+    assert not wishing.wish, "it was wished"
+    if wish == "stop_now":
+        result = desk.go(Wishing("", 0.0), resumes=True)
+    require_one_sound_dose(desk, result)
+    assert outcomes(desk.journal, "park")[:2] == ["interrupted", "done"]
+    assert "failed" not in outcomes(desk.journal, "remove_container")

@@ -61,13 +61,15 @@ class Offer(BaseModel):
 def needs_of(plan: Plan, *, simulated: bool) -> Needs:
     """What this plan needs."""
     samples, sources = plan.recipe.samples, plan.recipe.sources.values()
-    into = {source.leftover_to: source.sheet_key for source in sources if source.leftover_to}
+    taken = [demand.source for demand in plan.demands if demand.samples]
+    into = {source.leftover_to: source.sheet_key for source in taken if source.leftover_to}
     containers = [one for sample in samples for one in sample.all_containers]
-    filled = {
-        one.id: one.empty_mass_mg + sum(pour.mass_mg or 0.0 for pour in sample.filled.get(one.id, ()))
+    filled = [
+        one.empty_mass_mg + sum(pour.mass_mg or 0.0 for pour in sample.filled.get(one.id, ()))
         for sample in samples
         for one in sample.all_containers
-    }
+    ]
+    weights = [weight.mass_mg for sample in samples for weight in sample.flow.weights]
     return Needs(
         simulated=simulated,
         names={
@@ -80,7 +82,7 @@ def needs_of(plan: Plan, *, simulated: bool) -> Needs:
         },
         lots={source.station: source.sheet_key for source in sources} | into,
         containers=Counter(one.name for one in containers),
-        heaviest_mg=max(filled.values(), default=0.0),
+        heaviest_mg=max((*filled, *weights), default=0.0),
         tolerance_mg=min((one for sample in samples if (one := sample.least_tolerance_mg)), default=None),
         person=next((str(person) for person in plan.persons), ""),
     )

@@ -41,7 +41,7 @@ WHERE scuhand_stations.identity = excluded.identity RETURNING name
 """
 _KNOWN = """
 SELECT name, offer, state, extract(epoch FROM now() - seen)::float AS silent_s,
-    count(job.id) AS jobs, coalesce(sum((coalesce(job.args->'left_s', job.args->'duration_s'))::float), 0) AS ahead_s
+    count(job.id) AS jobs, coalesce(sum(coalesce(job.args->>'left_s', job.args->>'duration_s')::float), 0) AS ahead_s
 FROM scuhand_stations LEFT JOIN procrastinate_jobs AS job ON queue_name = name AND status IN ('todo', 'doing')
 GROUP BY name ORDER BY name
 """
@@ -106,7 +106,7 @@ class QueuedJob:
     said: str
     """What it came to, or what its station says of it."""
     left_s: float | None
-    """Of one that has begun, as its station last said."""
+    """Of one whose run goes on, as its station last said."""
     silent_s: float | None
     """How long nothing was heard of its station; None for one that is over."""
     at: datetime
@@ -269,8 +269,11 @@ class Queue:
         """Whether there was a job that waits at another station, and that this one can do; it waits here now."""
         return bool(await self._database.execute_query_all_async(_TAKE_OVER, name=name))
 
-    async def note(self, number: int, news: Mapping[str, str | float]) -> None:
-        """What a job's `run` is, what there is to be `said` of it, and how much of it is left (`left_s`)."""
+    async def note(self, number: int, news: Mapping[str, str | float | None]) -> None:
+        """What a job's `run` is, what there is to be `said` of it, and how much of it is left (`left_s`).
+
+        That is None where it cannot be told, as nobody is at it.
+        """
         query = "UPDATE procrastinate_jobs SET args = args || %(news)s WHERE id = %(number)s"
         await self._database.execute_query_async(query, number=number, news=Jsonb(dict(news)))
 

@@ -338,9 +338,8 @@ class Station:
         """What this station does now, for who looks at the queue."""
         self._tell(state)
         await self._queue.tell(self.name, state)
-        news: dict[str, str | float] = {"run": run, "said": said}
-        if left_s is not None:
-            news["left_s"] = LEFT_STEP_S * math.ceil(left_s / LEFT_STEP_S)
+        left_s = LEFT_STEP_S * math.ceil(left_s / LEFT_STEP_S) if left_s is not None else None
+        news = {"run": run, "said": said, "left_s": left_s}
         if taken is not None and not news.items() <= taken.job.task_kwargs.items():
             await self._queue.note(taken.id, news)
 

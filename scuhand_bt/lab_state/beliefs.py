@@ -277,10 +277,10 @@ class LabState:
 
     def _forgotten_yields(self, since: str) -> frozenset[YieldOf]:
         """Those that a person has forgotten since then."""
-        moment, found = datetime.fromisoformat(since), set()
+        moment, found = datetime.fromisoformat(since).replace(microsecond=0), set()  # as what is written here is dated
         for of, (*_, at, share) in self._yielded(simulated=False).items():
             with suppress(ValueError):  # of a damaged row
-                if share is None and datetime.fromisoformat(at) > moment:
+                if share is None and datetime.fromisoformat(at) >= moment:
                     found.add(of)
         return frozenset(found)
 

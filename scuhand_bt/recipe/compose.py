@@ -68,6 +68,14 @@ def takes_composed(workflow: Workflow) -> bool:
     return all(types.get(name) == wanted for name, wanted in {**TAKEN, CONTAINER: "Container"}.items())
 
 
+def check_first(workflow: Workflow, inputs: Mapping[str, Any], mark: Mark, problems: Problems) -> None:
+    """By hand, too, `first` is the first of the sources: before it no sheet is swapped, so none may come before it."""
+    first, sources = inputs.get(FIRST), inputs.get("sources")
+    if takes_composed(workflow) and isinstance(first, Source) and sources and first.name != sources[0].name:
+        what = f"'{FIRST}' is '{first.name}', and the first of 'sources' is '{sources[0].name}'"
+        problems.add(mark, what, f"{FIRST}: {sources[0].name}", code="bad-value")
+
+
 @dataclass(frozen=True)
 class Composer:
     """Composes samples of a recipe's sources; of those that are wrong only `source_marks` has the names."""

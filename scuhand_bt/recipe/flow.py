@@ -17,14 +17,13 @@ from typing import Any, get_args
 from scuhand_bt.events.doses import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.problems import Mark, Problems
-from scuhand_bt.recipe.known import Names, Ranges, is_known, known
-from scuhand_bt.recipe.pour import Flow, Pour, Unfit, sources_of
+from scuhand_bt.recipe.known import Names, Ranges, is_known, known, refused
+from scuhand_bt.recipe.pour import Flow, Pour, Unfit, Weight, sources_of
 from scuhand_bt.skill import Condition, Skill, SkillFailed
 from scuhand_bt.specs import Container, Keeping, Powder, Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range
 from scuhand_bt.tree.library import Library, Percent, parameters_of, resolve_percent
-from scuhand_bt.tree.wires import WireType
 from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode, walk
 from scuhand_bt.yaml_source import Node
 
@@ -68,7 +67,9 @@ def flow_of(workflow: str, inputs: Mapping[str, Any], library: Library, problems
     names = Names(Scope(dict(inputs)), {}, {key: key for key in inputs})
     reached = follower.of(library.workflows[workflow].tree, names, begin, None)
     follower.refuse_mere_scoops()
-    return Flow(tuple(follower.pours), reached.last, reached.leaves, tuple(follower.unfit.values()))
+    return Flow(
+        tuple(follower.pours), reached.last, reached.leaves, tuple(follower.unfit.values()), tuple(follower.weights)
+    )
 
 
 class _Follower:
@@ -76,6 +77,7 @@ class _Follower:
         self.sources = sources
         self.pours: list[Pour] = []
         self.unfit: dict[Mark, Unfit] = {}
+        self.weights: dict[Weight, None] = {}
         self._library = library
         self._problems = problems
         self._scoops: dict[str, Call] = {}
@@ -265,7 +267,11 @@ class _Follower:
 
     def _of_skill(self, node: Call, names: Names, given: Mapping[str, Any], reached: _Reached, at: Call) -> _Reached:
         skill = self._library.skills[node.name]
-        self._note_unfit(node, node.name, _refused(given, self._library.wires(node)), names)
+        wires = self._library.wires(node)
+        self._note_unfit(node, node.name, refused(given, wires), names)
+        on_pan = [key for key, value in given.items() if isinstance(value, float) and wires[key].is_on_pan]
+        for key in on_pan:
+            self.weights[Weight(given[key], names.mark_in(node, key), names.input_in(node, key))] = None
         if Code.SOURCE_EMPTY in skill.raises:
             self._scoops.update({source: at for source in reached.sources if source})
             self._scooped += 1
@@ -379,18 +385,6 @@ def _target_of(skill: type[Skill[Any]]) -> str | None:
     parameters = parameters_of(skill).items()
     masses = [key for key, one in parameters if one.wire.name == "Mass" and (one.required or key == TARGET)]
     return TARGET if TARGET in masses else masses[0] if len(masses) == 1 else None
-
-
-def _refused(given: Mapping[str, Any], wires: Mapping[str, WireType]) -> dict[str, str]:
-    """What a skill does not accept of the values that it is given, and why."""
-    refused: dict[str, str] = {}
-    for key, value in given.items():
-        try:
-            if isinstance(value, int | float | str):
-                wires[key].read(value)
-        except ValueError as error:
-            refused[key] = str(error)
-    return refused
 
 
 TOLD_BEFORE = "dispense a mass that is written, an input of the workflow, or one with a bound: min(…, 100 mg)"

@@ -9,6 +9,7 @@ from scuhand_bt.tree.build import Scope
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range, Reference
 from scuhand_bt.tree.grammar import PARAMETERS
 from scuhand_bt.tree.library import Library, literal, resolve_percent
+from scuhand_bt.tree.wires import WireType
 from scuhand_bt.tree.workflow import Argument, Call, Decorator, Value, references_of
 from scuhand_bt.yaml_source import Node
 
@@ -100,3 +101,15 @@ def known(
 def is_known(argument: Argument, scope: Scope) -> bool:
     """Whether a value can be told before the run."""
     return all(scope.has(reference.name) for reference in references_of(argument))
+
+
+def refused(given: Mapping[str, Any], wires: Mapping[str, WireType]) -> dict[str, str]:
+    """What a skill does not accept of the values that it is given, and why."""
+    refused: dict[str, str] = {}
+    for key, value in given.items():
+        try:
+            if isinstance(value, int | float | str):
+                wires[key].read(value)
+        except ValueError as error:
+            refused[key] = str(error)
+    return refused

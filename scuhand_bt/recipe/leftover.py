@@ -3,11 +3,11 @@
 What went back to stock has been in the cone, over the pan and in the air; whether that may be is the chemist's to say.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import get_args
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.problems import Problems, shorten
+from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.specs import Leftover, Source
 from scuhand_bt.yaml_source import Entries, Node, Scalar, describe
 
@@ -48,11 +48,15 @@ def with_leftover(
         what = f"unknown vessel {describe(vessel)}: a station of the kind 'waste'"
         problems.add(vessel.mark, what, unknown=name, known=vessels, code="unknown-name")
         return dict(sources)
-    lots = sorted({source.sheet_key for source in sources.values()})
-    if len(lots) > 1:
-        what = f"what is left of {' and of '.join(lots)} would mix in '{name}'"
-        problems.add(vessel.mark, what, "a recipe for each lot, or the policy 'discard'", code="leftover-mixed")
     return _told(sources, {"leftover": "discard", "leftover_to": name})
+
+
+def check_unmixed(sources: Iterable[Source], mark: Mark, problems: Problems) -> None:
+    """What is left of the sources that samples name is of one lot, where it comes into a vessel; `mark` names that."""
+    lots = {source.sheet_key: source.leftover_to for source in sources if source.leftover_to}
+    if len(lots) > 1:
+        what = f"what is left of {' and of '.join(sorted(lots))} would mix in '{next(iter(lots.values()))}'"
+        problems.add(mark, what, "a recipe for each lot, or the policy 'discard'", code="leftover-mixed")
 
 
 def _told(sources: Mapping[str, Source], leftover: Mapping[str, str]) -> dict[str, Source]:

@@ -63,6 +63,16 @@ class Unfit:
 
 
 @dataclass(frozen=True)
+class Weight:
+    """A mass that comes on the pan as it is, and where it is given."""
+
+    mass_mg: float
+    mark: Mark
+    input: str | None
+    """The sample's input that it is, if it is one."""
+
+
+@dataclass(frozen=True)
 class Flow:
     """All doses of a workflow in their order, and those that may be the last of their place."""
 
@@ -71,6 +81,7 @@ class Flow:
     leaves: frozenset[Keeping | None] = frozenset({None})
     """How what is left in the cone may be dealt with in the end; None where nothing empties that."""
     unfit: tuple[Unfit, ...] = ()
+    weights: tuple[Weight, ...] = ()
 
 
 def sources_of(inputs: Mapping[str, Any]) -> list[Source]:

@@ -15,7 +15,7 @@ from scuhand_bt.recipe.asked import check_asked
 from scuhand_bt.recipe.demand import check_demand
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import wrong_id
-from scuhand_bt.recipe.leftover import with_leftover
+from scuhand_bt.recipe.leftover import TO, check_unmixed, with_leftover
 from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.sample import Sample, check_reach
 from scuhand_bt.recipe.samples import SamplesReader
@@ -183,6 +183,8 @@ class _Reader:
                 self.problems.found += error.problems
             else:
                 check_reach(samples, sources, self.lab.cell, mount, self.source_marks, self.problems)
+        if isinstance(leftover, Entries) and (vessel := leftover.get(TO)) is not None:
+            check_unmixed((sources[name] for name in reader.used_sources & sources.keys()), vessel.mark, self.problems)
         self._check_unused(samples, reader.used_sources)
         whole = tuple(samples)
         return Recipe(self.path, self.text, name, order, controller, sources, whole, on_failure, limit, self.marks)

@@ -214,6 +214,10 @@ def check_sample(
         _add_too_fine(fine_mg, mark, balance, problems)
     for one in sample.flow.unfit:
         problems.add(where_told(one.input, one.mark), one.what, code="bad-value")
+    for weight in sample.flow.weights:
+        if weight.mass_mg > balance.maximum_mg:
+            mark = where_told(weight.input, weight.mark)
+            _add_too_heavy(f"a weight of {format_mass(weight.mass_mg)} is", balance, mark, problems)
     for key, container in each_of(sample.inputs):
         if isinstance(container, Container):
             pours = sample.filled.get(container.id, ())
@@ -226,6 +230,11 @@ def _add_too_fine(tolerance_mg: float, mark: Mark, balance: BalanceSpec, problem
     problems.add(mark, what, f"at least {balance.least_tolerance_mg:g} mg", code="fine-tolerance")
 
 
+def _add_too_heavy(what: str, balance: BalanceSpec, mark: Mark, problems: Problems) -> None:
+    maximum = f"its maximum is {format_mass(balance.maximum_mg)}"
+    problems.add(mark, f"{what} too heavy for the balance", maximum, code="too-heavy")
+
+
 def _check_room(
     container: Container,
     pours: Sequence[Pour],
@@ -236,10 +245,10 @@ def _check_room(
 ) -> None:
     """What goes into one container must fit into it, and on the balance: the most that is accepted as in tolerance."""
     filled_mg = sum(pour.accepted_mg for pour in pours)
-    if pours and container.empty_mass_mg + filled_mg > balance.maximum_mg:
-        together = f"'{container.name}' ({format_mass(container.empty_mass_mg)}) and {format_mass(filled_mg)}"
-        maximum = f"its maximum is {format_mass(balance.maximum_mg)}"
-        problems.add(mark, f"{together} are too heavy for the balance", maximum, code="too-heavy")
+    if container.empty_mass_mg + filled_mg > balance.maximum_mg:
+        what = f"'{container.name}' ({format_mass(container.empty_mass_mg)})"
+        what += f" and {format_mass(filled_mg)} are" if pours else " is"
+        _add_too_heavy(what, balance, mark, problems)
     powders = {source.name: source.powder for source in sources}
     parts = [(pour, powders[pour.source]) for pour in pours if pour.source]
     if sum(pour.accepted_mg / powder.bulk_density_mg_per_mm3 for pour, powder in parts) > container.capacity_mm3:

@@ -164,7 +164,7 @@ def _believe_source(name: str, mass_mg: float) -> Resolution:
 
 def about_vessels(plan: Plan, stock: Stock) -> Iterator[Conflict]:
     """What is left would come to powder of another lot, of an earlier run or of one since this was interrupted."""
-    for source in (demand.source for demand in plan.demands):
+    for source in (demand.source for demand in plan.demands if demand.samples):
         station = source.leftover_to
         held = stock.get(("station", station))
         if held is None or not held.powder or held.lot_key == source.sheet_key:

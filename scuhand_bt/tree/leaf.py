@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.leased import leased
-from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S, taken
+from scuhand_bt.cell.right_of_way import LOOK_S
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.failures import CATALOGUE, Code
 from scuhand_bt.record import RecordLost
@@ -21,7 +21,6 @@ from scuhand_bt.tree.replay import ENDED, Decision, Recorded, Replay
 from scuhand_bt.tree.substitutes import Substitutes
 from scuhand_bt.tree.wires import in_words
 
-LEASE_TIMEOUT_S = 10.0
 REST_S = 1.0
 """After a skill's end its devices come to rest within this time (a wide open valve takes 0.7 s), or it left them on."""
 REJOINING = ("arm", "balance")
@@ -302,13 +301,9 @@ class SkillLeaf(Behaviour):
                 shared.wait(self, asked)
                 return False
             self._may_begin = True
-        own, zones = self.skill.devices, self.skill.zones
-        devices = sorted({*own, *REJOINING}) if replay.is_to_rejoin else own
-        if not shared.leases.take(devices, self, zones):
-            timeout_s, failure = self._waits_for(devices)
-            if now_s >= self._began_waiting_s + timeout_s:
-                raise failure
-            shared.wait(self, *shared.leases.wakes(devices, self._began_waiting_s + timeout_s))
+        devices = sorted({*self.skill.devices, *REJOINING}) if replay.is_to_rejoin else self.skill.devices
+        if wakes := self._lacks(devices):
+            shared.wait(self, *wakes)
             return False
         if replay.is_to_rejoin:
             shared.rejoining = self
@@ -325,17 +320,16 @@ class SkillLeaf(Behaviour):
             self._steps = self._resume(skill, self._steps, shared.listener.in_words(inputs))
         return True
 
-    def _waits_for(self, devices: Sequence[str]) -> tuple[float, SkillFailed]:
-        """How long what is not free is waited for, and the failure after that."""
-        leases, zones = self._shared.leases, self.skill.zones
-        missing, stood_in = leases.missing(devices, self, zones), leases.stood_in(devices, zones)
-        if stood_in and set(missing) <= set(stood_in):
-            what = f"for {ZONE_TIMEOUT_S:g} s nothing has moved the arm out of the zone {', '.join(stood_in)}"
-            return ZONE_TIMEOUT_S, SkillFailed(Code.ARM_IN_THE_WAY, what)
-        if set(missing) <= set(zones):
-            return ZONE_TIMEOUT_S, taken(missing, ZONE_TIMEOUT_S)
-        what = f"{', '.join(devices)} not free after {LEASE_TIMEOUT_S:g} s"
-        return LEASE_TIMEOUT_S, SkillFailed(Code.DEVICE_BUSY, what)
+    def _lacks(self, devices: Sequence[str]) -> list[Wake]:
+        """Lease these and the skill's zones; what to wait for where they are not free. SkillFailed after too long."""
+        leases = self._shared.leases
+        if leases.take(devices, self, self.skill.zones):
+            return []
+        timeout_s, failure = leases.waited_for(devices, self, self.skill.zones)
+        until_s = self._began_waiting_s + timeout_s
+        if self._shared.cell.clock.now_s >= until_s:
+            raise failure
+        return leases.wakes(devices, until_s)
 
     def _resume(self, skill: Skill[Any], steps: Steps[Any], inputs: str) -> Steps[Any]:
         """The skill's steps, after what an interruption has left to settle."""
@@ -351,7 +345,11 @@ class SkillLeaf(Behaviour):
             if shared.rejoining is self:
                 shared.rejoining = None
                 shared.going_on.fire()
-        shared.leases.give_back_devices(self, keep=self.skill.devices)
+        # By what it needs itself: while it had the arm, a zone was free to it in which that stands and stays.
+        shared.leases.give_back(self)
+        self._began_waiting_s = shared.cell.clock.now_s
+        while self._lacks(self.skill.devices):
+            yield Wake.on(shared.cell.right_of_way.news, shared.cell.clock.now_s + LOOK_S)
         return (yield from steps)
 
     def _is_due(self, wake: Wake) -> bool:

@@ -1,9 +1,14 @@
 """Leases: one skill at a time commands a device, or moves in a zone, and the next one waits until that is free."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S, taken
 from scuhand_bt.clock import Wake
+from scuhand_bt.failures import Code, SkillFailed
+
+LEASE_TIMEOUT_S = 10.0
+"""How long a device that is not free is waited for."""
 
 
 class Leases:
@@ -41,16 +46,23 @@ class Leases:
 
     def give_back(self, owner: object) -> None:
         """The owner has ended: its devices are free once they have stopped, and its zones then, if the arm is out."""
-        self._way.leave(owner, self.give_back_devices(owner))
-
-    def give_back_devices(self, owner: object, keep: Iterable[str] = ()) -> list[str]:
-        """The owner needs of its devices only `keep`: the others, given, are free once they have stopped."""
         way = self._way
-        gone = [name for name, holder in way.commands.items() if holder is owner and name not in keep]
+        gone = [name for name, holder in way.commands.items() if holder is owner]
         for name in gone:
             del way.commands[name]
         self._stopping.update(gone)
-        return gone
+        way.leave(owner, gone)
+
+    def waited_for(self, devices: Sequence[str], owner: object, zones: Sequence[str]) -> tuple[float, SkillFailed]:
+        """How long what is not free is waited for, and the failure after that."""
+        missing, stood_in = self.missing(devices, owner, zones), self.stood_in(devices, zones)
+        if stood_in and set(missing) <= set(stood_in):
+            what = f"for {ZONE_TIMEOUT_S:g} s nothing has moved the arm out of the zone {', '.join(stood_in)}"
+            return ZONE_TIMEOUT_S, SkillFailed(Code.ARM_IN_THE_WAY, what)
+        if set(missing) <= set(zones):
+            return ZONE_TIMEOUT_S, taken(missing, ZONE_TIMEOUT_S)
+        what = f"{', '.join(devices)} not free after {LEASE_TIMEOUT_S:g} s"
+        return LEASE_TIMEOUT_S, SkillFailed(Code.DEVICE_BUSY, what)
 
     def wakes(self, names: Iterable[str], until_s: float) -> list[Wake]:
         """Wakes for the news of these devices, and of what others give back."""

@@ -17,7 +17,7 @@ from pydantic import AllowInfNan, BaseModel, Field, FiniteFloat, TypeAdapter, Va
 from scuhand_bt import quantity
 from scuhand_bt.events.doses import Dose
 from scuhand_bt.quantity import Unit, plain_name
-from scuhand_bt.specs import Container, Powder, Source
+from scuhand_bt.specs import Container, OnPan, Powder, Source
 from scuhand_bt.validation import refusal
 
 
@@ -31,6 +31,11 @@ class WireType:
     optional: bool = False
     item: "WireType | None" = field(default=None, compare=False)
     """Of a list, the type of what it lists."""
+
+    @property
+    def is_on_pan(self) -> bool:
+        """Whether it is a mass that comes on the pan as it is."""
+        return any(isinstance(one, OnPan) for one in getattr(self.python, "__metadata__", ()))
 
     def accepts(self, given: "WireType") -> bool:
         """True if a value of type `given` may flow into this one."""
