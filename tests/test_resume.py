@@ -314,6 +314,27 @@ def test_nothing_may_come_before_what_was_under_way(run: Run, before: str, after
         run.go(Watch(), resumes=True, accept_changes=True)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "now"),
+    [
+        ("powder: glass_beads", "powder: glass_beads, lot: L8", "glass_beads/L8 in 'agate_mortar'"),
+        ("powder: glass_beads", "powder: monosodium_glutamate", "monosodium_glutamate in 'agate_mortar'"),
+        ("container: agate_mortar", "container: small_agate_mortar", "glass_beads in 'small_agate_mortar'"),
+    ],
+)
+def test_no_source_becomes_another_powder_while_its_run_is_broken_off(
+    run: Run, before: str, after: str, now: str
+) -> None:
+    """The beads in the cone were dosed, and told in tolerance, as the other powder."""
+    run.go(Watch("stop_now", 60))
+    text = run.recipe.read_text()
+    assert before in text
+    run.recipe.write_text(text.replace(before, after, 1), encoding="utf-8")
+    was = "source '.*' was glass_beads in 'agate_mortar' when this run began, and is "
+    with pytest.raises(SourceError, match=f"{was}{now} now; put it back in the recipe"):
+        run.go(Watch(), resumes=True, accept_changes=True)
+
+
 def test_an_altered_journal_is_not_resumed(run: Run) -> None:
     run.go(Watch("stop_now", 60))
     with closing(sqlite3.connect(run.journal)) as database, database:

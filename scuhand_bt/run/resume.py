@@ -111,9 +111,10 @@ def resumable(
     """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError.
 
     No acceptance lets another job come before what has begun: it would take the pan and the cone from under it. Nor one
-    that divides the changer's slots otherwise: which containers have been used is known by them.
+    that divides the changer's slots otherwise: which containers have been used is known by them. Nor another powder in
+    a source: what is in the cone, and what was learnt of it, is known by the source's name.
     """
-    if overtaken := (*_overtaken(history, plan, lab), *_other_slots(history, lab)):
+    if overtaken := (*_overtaken(history, plan, lab), *_other_slots(history, lab), *_other_sources(history, plan)):
         raise SourceError([Problem(Mark(str(path)), what) for what in overtaken])
     changes = tuple(_changes(history, plan, lab))
     if changes and not accept_changes:
@@ -159,6 +160,18 @@ def _other_slots(history: History, lab: Lab) -> Iterator[str]:
         was, now = _in_words(slots), _in_words(changer.slots)
         put_back = "put them back in robot/cell.yaml, or begin the rest as a new run"
         yield f"the changer's slots were {was} when this run began, and are {now} now; {put_back}"
+
+
+def _other_sources(history: History, plan: Plan) -> Iterator[str]:
+    for name, was in history.run.sources.items():
+        now = plan.recipe.sources.get(name)
+        if now is None:
+            continue
+        before = f"{was.powder}/{was.lot}" if was.lot else was.powder
+        mortar = was.mortar or now.mortar.name  # which older journals do not name
+        if (before, mortar) != (now.sheet_key, now.mortar.name):
+            there = f"{before} in '{mortar}' when this run began, and is {now.sheet_key} in '{now.mortar.name}' now"
+            yield f"source '{name}' was {there}; put it back in the recipe, or begin the rest as a new run"
 
 
 def _in_words(slots: object) -> str:
