@@ -326,8 +326,8 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "The park station farther away, or a smaller zone.",
         ),
         "pan-in-no-zone": Finding(
-            "The arm over the pan is in none of the zones that skills lease to change containers: it may be there.",
-            "A zone that holds all that moves there.",
+            "The arm over the pan is in none of the zones that a skill leases to change containers: it may be there.",
+            "A zone that holds all that moves there, leased by each such skill.",
         ),
         "port-taken": Finding("Two devices are on one port.", "Give each its own."),
         "strained": _warning(

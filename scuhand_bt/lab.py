@@ -215,6 +215,13 @@ def _load_workflows(folder: Path, problems: Problems, broken: Broken) -> dict[st
     return workflows
 
 
+def kept_by_changing(lab: Lab) -> dict[str, tuple[str, ...]]:
+    """The zones of the cell that each skill leases which commands the changer, by its name."""
+    skills = {name: skill for name, skill in lab.library.skills.items() if "changer" in skill.devices}
+    known = lab.cell.zone_names
+    return {name: tuple(sorted({*skill.zones}.intersection(known))) for name, skill in skills.items()}
+
+
 def cell_mark(lab: Lab, *keys: str) -> Mark:
     """Where a value of the cell's file stands; for one that it leaves out, what would hold it."""
     return place_in_cell(lab.folder / CELL_FILE, *keys)

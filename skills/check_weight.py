@@ -26,8 +26,8 @@ from scuhand_bt.skill import (
 class CheckWeight(Skill[Milligrams]):
     """Have the operator put a check weight on the empty pan, and off again; gives how far off the balance is.
 
-    Arm and hand stand still from each request to its answer. Several `times`, it tells the balance's repeatability, and
-    the worst of them counts.
+    Arm and hand stand still from each request to its answer, and for each weighing. Several `times`, it tells the
+    balance's repeatability, and the worst of them counts.
     """
 
     raises = (Code.OPERATOR_REFUSED, "balance.inaccurate", "balance.not_bare")
@@ -87,10 +87,10 @@ class CheckWeight(Skill[Milligrams]):
 
     def _weigh(self, cell: Cell) -> Steps[float]:
         """Put on and off once: how much more it weighs than it is."""
-        bare = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
+        bare = yield from cell.right_of_way.stable_mean()
         yield from self._ask(cell, f"Put the check weight of {format_mass(self.weight_mg)} on the empty pan.")
         cell.weight_on_pan(self.weight_mg)
-        loaded = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
+        loaded = yield from cell.right_of_way.stable_mean()
         yield from self._ask(cell, "Take the check weight off the pan.")
         cell.weight_on_pan(0.0)
         error_mg = loaded.value_mg - bare.value_mg - self.weight_mg

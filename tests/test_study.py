@@ -34,6 +34,7 @@ from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.sim.powder import OurPowderFlow
+from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.study.change import changed, files_hash, plant_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import Found, diff, is_better, optimised
@@ -231,6 +232,7 @@ def test_what_fails_beside_the_store_is_not_told_of_it(setup: Setup, tmp_path: P
 
 
 TELLING = """from scuhand_bt.sim.powder import OurPowderFlow
+from scuhand_bt.sim.response import OurBalanceResponse
 
 FLOWS = []
 
@@ -848,6 +850,32 @@ def test_two_trials_tell_what_they_had_and_no_interval(setup: Setup, capsys: pyt
     said = " ".join(capsys.readouterr().out.split())
     assert "By 3 dry runs (intervals of 90 %): it takes" in said
     assert "What is left is what each run reckons, by what its scoops should bring: no interval tells" in said
+
+
+def shown_after_s(balance: OurBalanceResponse) -> float:
+    """So long a balance takes to show nine tenths of a gram."""
+    rng, now_s = np.random.default_rng(0), 0.0
+    while balance.step(0.02, 1000.0, 0.0, 0.0, rng) < 900.0:
+        now_s += 0.02
+    return now_s
+
+
+def test_four_dry_runs_in_a_row_say_how_long_nine_of_ten_take_and_no_wider(setup: Setup) -> None:
+    """Times that go with the balance, as most of a run's do: by Student's t they would hold 98 of 100."""
+    lab = load_lab(setup.lab)
+    plan = make_plan(load_recipe(setup.recipe, lab), lab)
+    times_s = []
+    for SomeCell.seed in range(60):
+        times_s.append(300.0 * shown_after_s(SomeCell().balance(lab.cell.balance)))
+    inside, wide = list[float](), list[float]()
+    for first in range(56):
+        few, others = times_s[first : first + 4], [*times_s[:first], *times_s[first + 4 :]]
+        said = odds_of(plan, [fake(seed, time_s, "abc") for seed, time_s in enumerate(few)]).duration_s
+        inside.append(float(np.mean([said.low <= time_s <= said.high for time_s in others])))
+        wide.append(said.high / said.low)
+    least_s, most_s = np.quantile(times_s, (0.05, 0.95)).tolist()
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.03)
+    assert np.median(wide) < 1.6 * most_s / least_s
 
 
 def test_one_more_run_uses_what_a_few_dry_runs_say_nine_times_of_ten(setup: Setup) -> None:

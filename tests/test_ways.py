@@ -107,10 +107,24 @@ def test_a_zone_of_the_changer_that_is_not_about_the_pan_is_told(lab: LabFolder)
     lab.write("robot/cell.yaml", behind)
     for _ in range(2):  # a check that passed is remembered
         (problem,) = found(lab, "pan-in-no-zone")
-        assert "the zones that what changes containers keeps (pan)" in problem.message
+        assert "the zones that discard_container, place_container, remove_container leases (pan)" in problem.message
         assert problem.mark.line == line_with(lab, "name: pan")
     lab.write("robot/cell.yaml", re.sub(r"changer: .*", "changer: {driver: operator}", behind))
     assert not found(lab, "pan-in-no-zone"), "while a person changes containers the arm stands still"
+
+
+def test_a_skill_that_commands_the_changer_and_leases_a_zone_elsewhere_is_told_also_after_a_check_that_passed(
+    lab: LabFolder,
+) -> None:
+    """That others lease the right one kept nobody out of the pan while this one brought a container."""
+    cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+    door = "  - {name: door, box: [50 mm, 50 mm, 50 mm], at: [-200 mm, 300 mm, 40 mm]}\n"
+    lab.write("robot/cell.yaml", cell.replace("geometry:\n", door + "geometry:\n"))
+    assert not found(lab, "pan-in-no-zone")
+    skill = (lab.folder / "skills" / "remove_container.py").read_text(encoding="utf-8")
+    lab.write("skills/clear_pan.py", skill.replace("RemoveContainer", "ClearPan").replace('("pan",)', '("door",)'))
+    (problem,) = found(lab, "pan-in-no-zone")
+    assert "the zones that clear_pan leases (door)" in problem.message
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.dosing.ladle import Stroke
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.journal.events import ArmMoves
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, places
@@ -235,6 +236,20 @@ def test_a_weighing_waits_for_the_arm_and_no_motion_begins_in_it(bench: Bench) -
     assert first_s > 1.0, "a motion was under way"
     assert not any(moves for now_s, moves, _ in bench.seen if first_s <= now_s < last_s)
     assert any(moves for now_s, moves, _ in bench.seen if now_s > last_s), "and goes on then"
+
+
+def test_a_weighing_beside_which_the_changer_is_moved_by_another_begins_again(bench: Bench, starter: Lab) -> None:
+    """A skill of a lab's own may lease the changer alone: `weigh` beside it weighed what was just taken away."""
+    holder = Container(id="h", **dict(starter.library.containers["xrd_holder"]))
+
+    def bring() -> Steps[float]:
+        yield from bench.later(0.2, lambda: None)
+        yield from bench.cell.changer.bring(holder)
+        return bench.clock.now_s
+
+    mean, brought_s = bench.do(bench.way.stable_mean(), bring())
+    assert mean.readings[0].time_s >= brought_s
+    assert mean.value_mg == pytest.approx(holder.empty_mass_mg, abs=holder.empty_mass_tolerance_mg)
 
 
 def test_while_the_pan_comes_to_rest_the_arm_goes_on(bench: Bench) -> None:
@@ -804,15 +819,24 @@ def test_the_arm_stands_still_while_a_person_changes_the_container(tmp_path: Pat
     assert answered_s - asked_s > 10.0
 
 
-def test_the_arm_stands_still_while_a_person_has_a_check_weight_in_hand(tmp_path: Path) -> None:
+def test_the_arm_stands_still_while_a_check_weight_is_in_hand_or_weighed(tmp_path: Path) -> None:
     folder = make_lab(tmp_path / "lab")
-    checking = "inputs: {container: Container}\ntree: {parallel: [{check_weight: {weight: 20 g}}, {tour: }]}\n"
+    tours = "{repeat: {times: 3, child: {tour: }}}"
+    checking = f"inputs: {{container: Container}}\ntree: {{parallel: [{{check_weight: {{weight: 20 g}}}}, {tours}]}}\n"
     (folder / "trees" / "checking.yaml").write_text("workflow: checking\n" + checking, encoding="utf-8")
     recipe = "recipe: two\nworkflow: checking\nsamples: [{id: a, container: xrd_holder}]\n"
     _, journal = run_dry(tmp_path / "runs", load_lab(folder), recipe=recipe)
     events = read(journal, "event")
     asked_s, answered_s = ([e["time_s"] for e in events if e["kind"] == kind] for kind in ("asked", "answered"))
     moves_s = [event["time_s"] for event in events if event["kind"] == "arm_moves"]
+    (checked,) = (event["payload"] for event in events if event["kind"] == "check_weight")
+    read_s = [reading["time_s"] for weighing in ("bare", "loaded") for reading in checked[weighing]["readings"]]
+    moving_s = [
+        (at["time_s"], at["time_s"] + ArmMoves(**at["payload"]).duration_s)
+        for at in events
+        if at["kind"] == "arm_moves"
+    ]
+    assert not [at for at in read_s if any(begin_s < at < end_s for begin_s, end_s in moving_s)]
     assert len(asked_s) == 2
     assert max(moves_s) > asked_s[0]
     assert not [at for at in moves_s if any(a <= at < b for a, b in zip(asked_s, answered_s, strict=True))]

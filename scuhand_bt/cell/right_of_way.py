@@ -5,9 +5,9 @@ leases it as it leases a device. While another skill has it than the one that ha
 motions are planned around it. A motion that was planned while a zone was open may cross it, and until that motion is
 over, and the arm out of the zone, nobody else gets the zone.
 
-A weighing needs stillness: an arm that swings beside a balance, and a motor that shakes the bench, are in what it
-shows. So does a person who reaches into the cell. Motions that are under way come to their end then, and no other
-begins. While the pan only comes to rest from what came or went they go on: none of that is weighed.
+A weighing needs stillness: an arm or a changer that swings beside a balance, and a motor that shakes the bench, are in
+what it shows. So does a person who reaches into the cell. Motions that are under way come to their end then, and no
+other begins. While the pan only comes to rest from what came or went they go on: none of that is weighed.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ZONE_TIMEOUT_S = 120.0
 """How long a zone that is taken is waited for: containers are changed and weighed in a fifth of that."""
 STILL_TIMEOUT_S = 120.0
-"""How long a weighing waits for arm and hand to stand still: no motion of theirs takes a tenth of that."""
+"""How long a weighing waits for arm, hand and changer to stand still: no motion of theirs takes a tenth of that."""
 SETTLES_S = 8.0
 """So long a pan may come to rest while the arm goes on: a balance that the arm keeps from it is not waited for."""
 REACHES_IN = "An exchange by hand was broken off, and the arm is about to move. Is nobody reaching into the cell?"
@@ -183,7 +183,7 @@ class RightOfWay:
         return result
 
     def stable_mean(self, timeout_s: float = 0.0) -> Steps[StableMean]:
-        """The balance's stable mean while arm and hand stand still; what they have disturbed all the same begins again.
+        """The balance's stable mean while all else stands still; what is disturbed all the same begins again.
 
         They need not until the balance calls a reading stable. SkillFailed balance.unstable where they do not come to
         rest; and as the balance's own, after `timeout_s` at least.
@@ -221,7 +221,7 @@ class RightOfWay:
 
     @property
     def _moving(self) -> list[str]:
-        return [name for name in ("arm", "hand") if not self._cell.device(name).is_stopped]
+        return [name for name in ("arm", "hand", "changer") if not self._cell.device(name).is_stopped]
 
     def _stillness(self) -> Steps[None]:
         """Wait until nothing moves any more."""

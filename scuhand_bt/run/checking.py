@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scuhand_bt.dosing.verdict import LIKELY, acceptance_mg, chance_with_lumps
-from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, state_folder, without_driver
+from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, kept_by_changing, state_folder, without_driver
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError
@@ -369,7 +369,8 @@ def _key(plan: Plan, lab: Lab) -> str:
     """What the ways, and what is said of them, depend on, as a hash."""
     kinds = sorted({repr(kind.kind) for sample in plan.recipe.samples for kind in sample.all_containers})
     demands = sorted(f"{demand.source!r} {demand.doses_mg} {demand.refilled_mg}" for demand in plan.demands)
-    depends = (source_digest(), lab.urdf, lab.cell, demands, kinds, sorted(plan.descents))
+    kept = sorted(kept_by_changing(lab).items())
+    depends = (source_digest(), lab.urdf, lab.cell, demands, kinds, sorted(plan.descents), kept)
     return hashlib.sha256(repr(depends).encode()).hexdigest()
 
 

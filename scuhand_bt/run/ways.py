@@ -17,7 +17,7 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.ladle import NoStrokeError, Stroke
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.lab import Lab, cell_mark
+from scuhand_bt.lab import Lab, cell_mark, kept_by_changing
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.problems import Problem
 from scuhand_bt.recipe.demand import Demand
@@ -97,15 +97,21 @@ def _require_destinations(
 
 def pan_in_no_zone(motion: MotionPlanner, lab: Lab) -> Iterator[Problem]:
     """Where containers come to the pan by themselves in no zone that the arm enters to stand over it."""
-    leased = {zone for skill in lab.library.skills.values() if "changer" in skill.devices for zone in skill.zones}
-    kept = sorted(leased.intersection(lab.cell.zone_names))
-    over = [place for place in motion.places if place.startswith(f"{lab.cell.station_of_kind('balance').name}+")]
-    if lab.cell.changer.driver == "operator" or not kept:
+    names_by = dict[tuple[str, ...], list[str]]()
+    for name, kept in kept_by_changing(lab).items():
+        names_by.setdefault(kept, []).append(name)
+    names_by.pop((), None)
+    if lab.cell.changer.driver == "operator" or not names_by:
         return
-    if any(motion.entered(motion.standing_at(place)).isdisjoint(kept) for place in over):
-        what = f"over the pan the arm is in none of the zones that what changes containers keeps ({', '.join(kept)})"
-        remedy = "nothing keeps it out of where they come and go: make the zone hold all that moves there"
-        yield Problem(cell_mark(lab, "zones"), f"{what}: {remedy}", "pan-in-no-zone")
+    pan = lab.cell.station_of_kind("balance").name
+    over = [motion.entered(motion.standing_at(place)) for place in motion.places if place.startswith(f"{pan}+")]
+    for kept, names in names_by.items():
+        if any(entered.isdisjoint(kept) for entered in over):
+            what = f"over the pan the arm is in none of the zones that {', '.join(names)} leases ({', '.join(kept)})"
+            remedy = (
+                "nothing keeps it out of where containers come and go: lease the zone that holds all that moves there"
+            )
+            yield Problem(cell_mark(lab, "zones"), f"{what}: {remedy}", "pan-in-no-zone")
 
 
 def _planner(

@@ -1,8 +1,9 @@
 """What to expect of a run, by trials of it: how long it takes, how its samples come out, what it uses.
 
-Each trial has a cell of its own (`some_cell`). The interval of a duration is that of Student's t for the logarithm of
-one more run like these, widened by `MODEL_SHARE` for what persons, carousels and arms differ by, that of a mass
-Student's t for the mass itself, widened by `MODEL_MASS_SHARE`.
+Each trial has a cell of its own (`some_cell`). The interval of a duration is that of a normal distribution for the
+logarithm of one more run like these, widened by `MODEL_SHARE` for what persons, carousels and arms differ by: as cells
+of successive seeds lie evenly, few trials tell what runs differ by nearly as well as many. That of a mass is Student's
+t for the mass itself, widened by `MODEL_MASS_SHARE`.
 `benchmarks.forecasts` holds times and chances against runs on plants that no trial has had.
 """
 
@@ -40,7 +41,7 @@ MODEL_MASS_SHARE = 0.005
 """Likewise of a mass: of 48 sources of 24 recipes on plants whose physics shares nothing with the trials', 16 lost some
 milligrams more or less than Student's t of eight trials alone has, and 4 with this."""
 FEWEST = 3
-"""Trials that tell an interval: by two, Student's t makes of 5 and of 13 minutes some seconds to half a day."""
+"""Trials that tell an interval."""
 WIDE = 1.645
 """Standard deviations that hold `COVERED` of a normal distribution."""
 BATCH_COUNTS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
@@ -241,11 +242,11 @@ def _from_to(spans_s: Sequence[Sequence[float]]) -> Range:
 
 
 def _of_times(times_s: Sequence[float]) -> Range:
-    """Of one more run like these: times differ by factors, and few runs do not tell by how much."""
+    """Of one more run like these: times differ by factors."""
     if len(times_s) < FEWEST or min(times_s) <= 0.0:
         return _seen(times_s)
-    logs = np.log(times_s)
-    half = math.hypot(_half_of_one_more(logs.tolist()), WIDE * MODEL_SHARE)
+    logs, many = np.log(times_s), len(times_s)
+    half = WIDE * math.hypot(float(np.std(logs, ddof=1)) * math.sqrt(1.0 + 1.0 / many), MODEL_SHARE)
     middle = float(np.mean(logs))
     return Range(*(math.exp(at) for at in (middle - half, middle, middle + half)))
 
@@ -254,15 +255,10 @@ def _of_masses(masses_mg: Sequence[float]) -> Range:
     """Of one more run like these, which lies beyond the least and the greatest of four two times in five."""
     if len(masses_mg) < FEWEST:
         return _seen(masses_mg)
-    mean = float(np.mean(masses_mg))
-    half = math.hypot(_half_of_one_more(masses_mg), WIDE * MODEL_MASS_SHARE * mean)
+    mean, many = float(np.mean(masses_mg)), len(masses_mg)
+    half = float(t.ppf(0.5 + COVERED / 2.0, many - 1) * np.std(masses_mg, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
+    half = math.hypot(half, WIDE * MODEL_MASS_SHARE * mean)
     return Range(max(0.0, mean - half), float(np.median(masses_mg)), mean + half)
-
-
-def _half_of_one_more(values: Sequence[float]) -> float:
-    """Of the interval about the mean in which one more value like these lies, by Student's t."""
-    many = len(values)
-    return float(t.ppf(0.5 + COVERED / 2.0, many - 1) * np.std(values, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
 
 
 def _seen(values: Sequence[float]) -> Range:
