@@ -220,7 +220,8 @@ CATALOGUE: Mapping[str, Failure] = {
     ),
     Code.HAND_NO_FLOW: Failure(
         "The cone should hold more powder, but none comes out, even with vibration: a bridge, or a poor scoop.",
-        "Let it out and scoop again (the shipped workflows do); look for a lump at the apex. Dry or sieve the powder.",
+        "Let it out and scoop again (the shipped workflows do); look for a lump at the apex, and whether the sheet "
+        "opens and the motor shakes. Dry or sieve the powder.",
     ),
     Code.HAND_VALVE_STUCK: Failure(
         "The valve does not move; powder may be running out of it.",
@@ -245,8 +246,9 @@ CATALOGUE: Mapping[str, Failure] = {
     ),
     Code.SCOOP_NOTHING: Failure(
         "Scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
-        "See that the mortar holds what is written, at its station, and that none bridges in the cone; then resume, "
-        "or, where the recipe went on without the source, begin a new run of the samples that were not run.",
+        "See that the mortar holds what is written, at its station, that none bridges in the cone, that the sheet "
+        "opens when the valve's servo turns, and that the motor shakes; then resume, or, where the recipe went on "
+        "without the source, begin a new run of the samples that were not run.",
         ("run",),
     ),
     Code.SOURCE_EMPTY: Failure(

@@ -387,7 +387,8 @@ class Dispense(Skill[Dose]):
             done = f"{barren}, open and shaken; it is not scooped from any more"
             mended = "if they stand at the sides, level them, if they bridge in the cone, dry or sieve them"
             less = "if there is less, correct the recipe's amount or refill it"
-            return SkillFailed(Code.SCOOP_NOTHING, f"{done}. {left}: {less}, {mended}, and begin a new run")
+            hand = "look whether the sheet opens and the motor shakes, as no weighing tells"
+            return SkillFailed(Code.SCOOP_NOTHING, f"{done}. {left}: {less}, {mended}; {hand}; and begin a new run")
         if believed.dosing.in_vain >= LAST_LOADS:
             what = f"{LAST_LOADS} loads in a row, open and shaken, have given nothing of the last {lacked_mg:.1f} mg"
             return SkillFailed(Code.DOSE_NOT_REACHED, f"{reached}: {what}")

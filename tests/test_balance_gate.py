@@ -605,6 +605,31 @@ def test_a_resumed_real_run_believes_what_the_lab_does_by_now(
     assert session.cell.powder_beliefs == {}
 
 
+@pytest.mark.parametrize(("is_forgotten", "believes"), [(True, {}), (False, {"beads": 0.6})])
+def test_what_was_forgotten_of_scoops_since_a_run_broke_off_stays_forgotten_when_it_is_resumed(
+    tmp_path: Path,
+    plan_of: Callable[..., tuple[Plan, Lab]],
+    monkeypatch: pytest.MonkeyPatch,
+    is_forgotten: bool,
+    believes: dict[str, float],
+) -> None:
+    """It was believed again, and written anew at the run's end."""
+    ran, state = dry_run(tmp_path, RECIPE, stop_at=500), LabState(tmp_path)
+    taught = replace(ran.session.cell.believed, yields={"beads": 0.6})
+    state.keep(replace(ran.session.cell, simulated=False, believed=taught), "day-1")
+    monkeypatch.setattr("scuhand_bt.run.session.set_up", taken_for_real)
+    plan, lab = plan_of()
+    found = resumable(ran.journal, checked_history(ran.journal), plan, lab, accept_changes=True)
+    found.history.state["believed"]["yields"] = {"beads": 0.6}
+    if is_forgotten:
+        state.forget_powders("glass_beads")
+    session = Session(plan, lab, Options(None, "paper", tmp_path / "runs"), shared_planner(plan, lab), resumes=found)
+    session.close()
+    assert session.cell.believed.yields == believes
+    state.keep(session.cell, "resumed")
+    assert [one.share for one in state.yields(simulated=False).values()] == list(believes.values())
+
+
 def taken_for_real(plan: Plan, lab: Lab, simulation: object, *args: object, **more: object) -> Setup:
     made = set_up(plan, lab, DryRun(), *args, **more)  # type: ignore[arg-type]
     made.cell.simulated = simulation is not None

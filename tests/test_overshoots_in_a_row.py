@@ -8,13 +8,15 @@ import pytest
 from conftest import Call, LabFolder, problems_of
 from daily import first_daily
 from numpy.random import Generator
-from running import Ran, Watching, dry_run, shared_planner
+from running import HEAD, Ran, Watching, dry_run, shared_planner
 
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.lab import Lab
-from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.options import Options
+from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
@@ -125,18 +127,53 @@ def test_a_run_that_was_stopped_for_it_is_resumed_and_counts_anew(
 ) -> None:
     stopped = run(tmp_path, {1, 2})
     assert codes(stopped.result)[2:] == ["not run"] * 4
-    plan = make_plan(load_recipe(tmp_path / "recipe.yaml", starter), starter)
-    found = resumable(stopped.journal, checked_history(stopped.journal), plan, starter, accept_changes=False)
-    Gushing.loads, Gushing.seen = frozenset(later), 2
-    simulation = DryRun(plant=f"{__name__}:Gushing")
-    session = Session(plan, starter, Options(simulation, "adaptive"), shared_planner(plan, starter), resumes=found)
-    try:
-        result = session.run(Watching(session))
-    finally:
-        session.close()
+    result = resumed(tmp_path, starter, stopped.journal, later)
     assert result.is_complete == completes
     told = [None if name not in later else "dose.overshoot" for name in (3, 4, 5, 6)]
     assert codes(result)[2:] == (told if completes else [*told[:2], "not run", "not run"])
+
+
+def test_a_run_that_broke_off_before_it_was_stopped_for_it_is_so_once_it_is_resumed(
+    tmp_path: Path, starter: Lab
+) -> None:
+    """As its cone was emptied after the second one; nobody was told, and it went on."""
+
+    class Ending(Watching):
+        def sample_ended(self, result: SampleResult) -> None:
+            if result.id == "b" and self.session is not None:
+                self.session.control.wish("stop_now")
+
+    plan = plan_of(tmp_path, starter, SIX.replace("POLICY", "flag") + HEAD)
+    Gushing.loads, Gushing.seen = frozenset({1, 2}), 0
+    options = Options(DryRun(plant=f"{__name__}:Gushing"), "adaptive", tmp_path / "runs")
+    session = Session(plan, starter, options, shared_planner(plan, starter))
+    try:
+        broke_off = session.run(Ending(session))
+    finally:
+        session.close()
+    assert (codes(broke_off)[:2], broke_off.exit_code) == (["dose.overshoot"] * 2, ExitCode.INTERRUPTED)
+    told = resumed(tmp_path, starter, session.journal.path, set())
+    assert told.reason.startswith("dose.overshoots: samples overshot in a row: a by")
+    assert codes(told)[2:] == ["not run"] * 4
+    assert resumed(tmp_path, starter, session.journal.path, set()).is_complete, "somebody has looked"
+
+
+def plan_of(tmp_path: Path, lab: Lab, recipe: str) -> Plan:
+    (tmp_path / "recipe.yaml").write_text(recipe, encoding="utf-8")
+    return make_plan(load_recipe(tmp_path / "recipe.yaml", lab), lab)
+
+
+def resumed(tmp_path: Path, lab: Lab, journal: Path, later: set[int]) -> BatchResult:
+    """What comes of a run of six that is gone on with; `later` loads gush."""
+    plan = make_plan(load_recipe(tmp_path / "recipe.yaml", lab), lab)
+    found = resumable(journal, checked_history(journal), plan, lab, accept_changes=False)
+    Gushing.loads, Gushing.seen = frozenset(later), 2
+    options = Options(DryRun(plant=f"{__name__}:Gushing"), "adaptive")
+    session = Session(plan, lab, options, shared_planner(plan, lab), resumes=found)
+    try:
+        return session.run(Watching(session))
+    finally:
+        session.close()
 
 
 def test_the_reason_is_told_by_runs_and_show_and_explained(command: Call, lab_folder: LabFolder) -> None:

@@ -118,6 +118,10 @@ class BelievedPowder:
         """
         self._set(yields={name: mass(share), **self.yields})
 
+    def scoops_forgotten(self, name: str) -> None:
+        """What scoops of a source bring is not known any more: somebody has said so."""
+        self._set(yields={other: share for other, share in self.yields.items() if other != name})
+
     def cone_holds(self, source: Source, mass_mg: float) -> None:
         """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
         self._set(cone_mg=mass(mass_mg), cone_source=source.name, sheet=source.sheet_key, load=Load())

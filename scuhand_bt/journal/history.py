@@ -10,6 +10,7 @@ from typing import Any
 from scuhand_bt.events.doses import Dose, ValueRecorded
 from scuhand_bt.events.entry import Event
 from scuhand_bt.events.weighings import ContainerDiscarded
+from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Decided, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.plain import to_json
@@ -86,6 +87,8 @@ class History:
     """The hash of the last entry: who goes on with the run goes on behind that one."""
     lost_world: str = ""
     """Why the simulated world could not be kept; empty where it was."""
+    looked_after: frozenset[str] = frozenset()
+    """The samples that were done when the run was stopped for those that overshot: a person was told of these."""
     ended: Ended | None = None
     """How the run ended; None if it did not say."""
 
@@ -145,6 +148,8 @@ def history_of(database: sqlite3.Connection) -> History:
                 history.lost_world = event.why
             case Ended():
                 history.ended = event
+                if event.reason.startswith(Code.DOSE_OVERSHOOTS):
+                    history.looked_after = frozenset(name for name, _ in history.samples)
             case Resumed():
                 history.ended = None
         if event is not None and job_seq in jobs:

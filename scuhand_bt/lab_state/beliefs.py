@@ -106,17 +106,9 @@ class LabState:
 
     def yields(self, *, simulated: bool) -> dict[YieldOf, LearntYield]:
         """What the scoops of each powder lot bring in each kind of mortar."""
-        with reading_lab_db(self._folder) as database:
-            if database is None:
-                return {}
-            rows = database.execute(
-                "SELECT version, lot, mortar, run, at, share FROM yielded WHERE simulated = ? ORDER BY version",
-                (simulated,),
-            )
-            last = {(lot, mortar): (version, run, at, share) for version, lot, mortar, run, at, share in rows}
         return {
             of: LearntYield(version, simulated, run, at, share)
-            for of, (version, run, at, share) in last.items()
+            for of, (version, run, at, share) in self._yielded(simulated).items()
             if share is not None and 0.0 < share < math.inf  # what a damaged row says is learnt anew
         }
 
@@ -169,10 +161,11 @@ class LabState:
             rows += [(name, figure, value, learnt.run, learnt.at) for figure, value in taught.items()]
         return rows
 
-    def recall(self, cell: Cell, now: datetime) -> None:
+    def recall(self, cell: Cell, now: datetime, since: str = "") -> None:
         """Give a real cell what was learnt on real devices, and let it believe nothing else of powders and balance.
 
-        Of what scoops bring, what the run has seen itself counts more.
+        Of what scoops bring, what the run has seen itself counts more, but for what was forgotten `since` it broke off
+        (ISO 8601).
         """
         cell.powder_beliefs = {name: learnt.belief for name, learnt in self.powders(simulated=False).items()}
         balance = self.balances(simulated=False).get(cell.balance_name)
@@ -181,10 +174,13 @@ class LabState:
         delay = self.figures(simulated=False).get(cell.balance_name, {}).get("delay_s")
         cell.known_delay_s = delay.value if delay is not None else None
         yields = self.yields(simulated=False)
+        forgotten = self._forgotten_yields(since) if since else frozenset()
         for name, source in cell.sources.items():
             learnt = yields.get(_yield_of(source))
             if learnt is not None and not learnt.is_older_than(YIELD_BELIEVED_FOR, now):
                 cell.believed.scoops_bring(name, learnt.share)
+            elif _yield_of(source) in forgotten:
+                cell.believed.scoops_forgotten(name)
 
     def keep(self, cell: Cell, run: str) -> str | None:
         """Write what doses have taught a cell, where it is news; what went wrong, or None."""
@@ -267,6 +263,26 @@ class LabState:
                 "INSERT INTO yielded (lot, mortar, simulated, share, run, at) VALUES (?, ?, ?, ?, ?, ?)",
                 [(*of, simulated, share, says, at) for of, share in yields],
             )
+
+    def _yielded(self, simulated: bool) -> dict[YieldOf, tuple[int, str, str, float | None]]:
+        """By lot and mortar what was written last: version, run, time and share; None where that was forgotten."""
+        with reading_lab_db(self._folder) as database:
+            if database is None:
+                return {}
+            rows = database.execute(
+                "SELECT version, lot, mortar, run, at, share FROM yielded WHERE simulated = ? ORDER BY version",
+                (simulated,),
+            )
+            return {(lot, mortar): (version, run, at, share) for version, lot, mortar, run, at, share in rows}
+
+    def _forgotten_yields(self, since: str) -> frozenset[YieldOf]:
+        """Those that a person has forgotten since then."""
+        moment, found = datetime.fromisoformat(since).replace(microsecond=0), set()  # as what is written here is dated
+        for of, (*_, at, share) in self._yielded(simulated=False).items():
+            with suppress(ValueError):  # of a damaged row
+                if share is None and datetime.fromisoformat(at) >= moment:
+                    found.add(of)
+        return frozenset(found)
 
     def _latest(self, kind: str, model: type[B], simulated: bool) -> dict[str, Learnt[B]]:
         found = {}

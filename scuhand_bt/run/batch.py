@@ -13,7 +13,7 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import JobEnded, JobStarted
 from scuhand_bt.journal.history import STOPPED, History, read_history
-from scuhand_bt.journal.results import Chosen, SampleResult, SampleVerdict, SoFar
+from scuhand_bt.journal.results import Chosen, SampleVerdict, SoFar
 from scuhand_bt.journal.run_events import Broken, Ended
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries, sheet_changes
@@ -74,8 +74,6 @@ class Batch:
         self._after_job = after_job
         self._runner = Runner(cell, library, journal, control, Guards(cell), observer, substitutes, consent)
         self._results = SampleResults(plan, cell, journal, observer, true_mass_mg)
-        self._overshot: list[SampleResult] = []
-        """The last samples that were dosed, as long as they overshot."""
         self._under_way: tuple[Sample, int, float] | None = None
         """The sample whose job runs, its attempt, and when that began [s]."""
 
@@ -214,13 +212,10 @@ class Batch:
             if recorded is not None and self._was_over(job.name, attempt):
                 self._results.take(recorded)
                 self._observer.sample_known(recorded)
-                self._count_overshoots(recorded)
-                if self._too_many_overshoots() is not None:
-                    self._overshot = []  # a person has looked since
             else:
-                result = self._results.result_of(sample, self._journal.so_far, verdict, failure, began_s, attempt)
-                self._count_overshoots(result)
-                self._results.note(result)
+                self._results.note(
+                    self._results.result_of(sample, self._journal.so_far, verdict, failure, began_s, attempt)
+                )
             self._results.note_brackets()
             if failure is None:
                 return None
@@ -241,18 +236,21 @@ class Batch:
         containers = [container for one in (sample, *to_come) for container in one.all_containers]
         return changer.short_of(slots_used(believed, changer), [one.name for one in containers]) is None
 
-    def _count_overshoots(self, result: SampleResult) -> None:
-        """Whichever the powder: samples share the balance and the valve. One that was not dosed tells nothing."""
-        if result.overshot_mg is not None:
-            self._overshot = [*(one for one in self._overshot if one.id != result.id), result]
-        elif result.doses:
-            self._overshot = []
-
     def _too_many_overshoots(self) -> Ended | None:
-        """How the run ends where as many samples in a row have overshot as the recipe allows."""
-        if not 0 < self._plan.recipe.overshoot_limit <= len(self._overshot):
+        """How the run ends where as many samples in a row have overshot as the recipe allows.
+
+        Whichever the powder: samples share the balance and the valve. One that was not dosed tells nothing, and those
+        that a person was told of before no more.
+        """
+        overshot: list[str] = []
+        for result in reversed(self._results.by_id.values()):
+            if result.id in self._history.looked_after or (result.doses and result.overshot_mg is None):
+                break
+            if result.overshot_mg is not None:
+                overshot.insert(0, f"{result.id} by {result.overshot_mg:.1f} mg")
+        if not 0 < self._plan.recipe.overshoot_limit <= len(overshot):
             return None
-        by = ", ".join(f"{one.id} by {one.overshot_mg:.1f} mg" for one in self._overshot)
+        by = ", ".join(overshot)
         return _ended(ExitCode.CELL_FAULT, f"{Code.DOSE_OVERSHOOTS}: samples overshot in a row: {by}")
 
     def _barren_source(self, sample: Sample) -> str | None:

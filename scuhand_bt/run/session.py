@@ -219,7 +219,8 @@ class Session:
             take_up(self.cell, resumes.history.state)
             self.cell.believed.sources_mended()
         if not self.cell.simulated:  # what was forgotten since the run broke off stays so
-            self._records.learnt.recall(self.cell, datetime.now().astimezone())
+            broke_off = resumes.history.at if resumes is not None else ""
+            self._records.learnt.recall(self.cell, datetime.now().astimezone(), broke_off)
             for name in self._records.learnt.unreadable():
                 self.warnings.append(f"what another version has learnt of '{name}' cannot be read: it is learnt anew")
         if not self._options.is_kept:
