@@ -310,6 +310,9 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         ),
         "skill-default": Finding("A parameter's default is not of its type.", "A value as the type has it."),
         "skill-raises": _warning("A skill fails with a code that its `raises` does not name.", "Add it to `raises`."),
+        "skill-fault": _warning(
+            "A skill raises another exception than SkillFailed, or ends the program.", "raise SkillFailed(code, why)"
+        ),
         "skill-unit": _warning("A number without a unit is a parameter.", "Milligrams, Seconds, …, or Ratio."),
     },
     CELLS: {

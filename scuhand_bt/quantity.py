@@ -251,6 +251,11 @@ def format_mass(mass_mg: float) -> str:
     return f"{mass_mg:.1f} mg" if abs(mass_mg) < 1000 else f"{mass_mg / 1000:.4f} g"
 
 
+def format_tolerance(tolerance_mg: float) -> str:
+    """A tolerance as people read it: its three leading digits, in mg, without the unit."""
+    return f"{float(f'{tolerance_mg:.3g}'):g}"
+
+
 def format_below(share: float, limit: float) -> str:
     """A share that is below a limit: in whole percents, or rounded down to a tenth where those would say the limit."""
     told = f"{share:.0%}"

@@ -7,7 +7,7 @@ from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe import flows
 from scuhand_bt.recipe.flow import flow_of
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.report.doses import asked_cells
+from scuhand_bt.report.doses import asked_cells, asked_mg
 
 RECIPE = """recipe: mixtures
 workflow: {workflow}
@@ -162,3 +162,7 @@ def test_masses_side_by_side_are_told_with_their_tolerances(lab_folder: LabFolde
     path = lab_folder.write("r.yaml", text.replace("TOLERANCES", "[10 mg, 20 mg]"))
     (sample,) = load_recipe(path, lab_folder.load()).samples
     assert asked_cells(sample) == ("400.0 mg + 800.0 mg", "10 + 20 mg")
+    path = lab_folder.write("r.yaml", text.replace("TOLERANCES", "[3.9996 mg, 12.3456 mg]"))
+    (sample,) = load_recipe(path, lab_folder.load()).samples
+    assert asked_cells(sample)[1] == "4 + 12.3 mg", "as people read them"
+    assert asked_mg(sample) == ([400.0, 800.0], [3.9996, 12.3456])

@@ -1,6 +1,7 @@
 """What a plan's night holds."""
 
 import json
+import math
 from dataclasses import replace
 from datetime import timedelta
 
@@ -77,7 +78,7 @@ def test_a_night_that_ends_when_it_begins_is_refused() -> None:
 def test_the_same_time_of_another_day_is_told_with_the_days_that_have_gone_by(plan: Plan) -> None:
     """25 hours after eight in the evening was told as one hour after it."""
     (said,) = stays_in_words(plan, odds_of(plan, [trial_of(plan, 25.0 * 3600.0)] * 8), read_night("20:00-08:00"))
-    assert said == "So a person comes 2 times: for the start, and from 19:01 to 23:08 (+1 d) (1 moment)."
+    assert said == "So a person comes 2 times: for the start, and from 19:01 to 23:09 (+1 d) (1 moment)."
 
 
 def test_a_sample_behind_a_moment_that_needs_a_person_is_not_done(plan: Plan, desk: Desk) -> None:
@@ -183,12 +184,16 @@ def test_moments_soon_after_each_other_are_one_stay(plan: Plan, desk: Desk) -> N
     odds = odds_of(plan, [trial_of(plan, job_s)] * 8)
     assert swap.name.startswith("change powder")
     (said,) = stays_in_words(plan, odds, read_night("20:00-08:00"))
-    assert said == "So a person comes 1 time: from the start until 20:10 (1 moment)."
+    assert said == "So a person comes 1 time: from the start until 20:11 (1 moment)."
     (said,) = stays_in_words(plan, odds, None)
     assert said == "So a person comes 1 time: from the start until 10 min 51 s after it (1 moment)."
     odds = odds_of(plan, [trial_of(plan, 4.0 * job_s)] * 8)
     (said,) = stays_in_words(plan, odds, read_night("20:00-08:00"))
-    assert said == "So a person comes 2 times: for the start, and from 20:36 to 20:43 (1 moment)."
+    assert said == "So a person comes 2 times: for the start, and from 20:36 to 20:44 (1 moment)."
+    odds = odds_of(plan, [trial_of(plan, 12.0 * job_s)] * 8)
+    latest_s = max(when.high for _, when in odds.persons_s(plan) if when is not None)
+    hours, minutes = divmod(math.ceil(latest_s / 60.0), 60)
+    assert f" to {hours} h {minutes:02d} min after it (1 moment)." in next(stays_in_words(plan, odds, None))
 
 
 @pytest.mark.parametrize(

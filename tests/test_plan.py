@@ -179,6 +179,22 @@ samples: [{{id: a, source: m, container: xrd_holder, mass: 60 mg, tolerance: 4.1
     assert json.loads(command("plan", path, "--trials", 0, "--json").stdout)["problems"] == []
 
 
+def test_the_plan_as_json_has_the_masses_of_all_powders_of_a_sample(lab_folder: LabFolder, command: Call) -> None:
+    recipe = """recipe: mix
+workflow: weigh_in
+sources:
+  a: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
+  b: {station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: 5 g}
+samples:
+  - {id: x, sources: [a, b], first: a, masses: [1 g, 50 mg], tolerances: [9 mg, 2.5 mg], container: alumina_crucible}
+  - {id: y, workflow: fill_crucible, source: b, mass: 60 mg, tolerance: 5 %, container: alumina_crucible}
+"""
+    path = lab_folder.write("recipes/mix.yaml", recipe)
+    jobs = {job["name"]: job for job in json.loads(command("plan", path, "--trials", 0, "--json").stdout)["jobs"]}
+    asked = {name: (job["masses_mg"], job["tolerances_mg"]) for name, job in jobs.items() if job["sample"]}
+    assert asked == {"x": ([1000.0, 50.0], [9.0, 2.5]), "y": ([60.0], [3.0])}
+
+
 def test_a_repeated_request_is_one_line_and_its_time_counts_each_time(desk: Desk, lab_folder: LabFolder) -> None:
     before_s = plan_of(desk).duration_s
     lab_folder.replace(

@@ -150,3 +150,16 @@ def test_in_a_browser_the_page_plays_the_moves_of_each_job_and_keeps_nobody_out(
         )
         assert page.evaluate("document.getElementById('viewer').viewer.apex()") != rest
         assert serious_faults(page) == []
+
+
+@needs_browser
+def test_in_a_browser_of_long_names_the_whole_order_is_seen_without_scrolling(
+    made: Any, tmp_path: Path, browser: Any
+) -> None:
+    name = "a-sample-with-a-long-name-of-the-seventh-of-november-01"
+    (tmp_path / "plan.html").write_text(made[2].replace("<td>a</td>", f"<td>{name}</td>"), encoding="utf-8")
+    with browser_page(browser, viewport={"width": 1200, "height": 844}) as page:
+        page.goto((tmp_path / "plan.html").as_uri())
+        table = page.locator(".wide").first
+        assert name in table.inner_text()
+        assert table.evaluate("it => it.scrollWidth - it.clientWidth") == 0

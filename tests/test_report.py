@@ -29,8 +29,9 @@ from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.report.audit import deeds_of_run
 from scuhand_bt.report.dose_curves import curves_of_doses
 from scuhand_bt.report.powder_balance import powder_balance
+from scuhand_bt.report.run_figures import times_figure
 from scuhand_bt.report.run_report import comparison, page_of_run
-from scuhand_bt.report.time_spent import TimeSpent, time_spent
+from scuhand_bt.report.time_spent import ACTIVITIES, JobTime, TimeSpent, time_spent
 from tests.test_journal import HEADER, tamper, write_version_1
 
 EVIL = "<script>alert(1)</script>"
@@ -120,8 +121,14 @@ def test_of_two_powders_each_dose_has_its_name_and_the_worst_is_so_by_its_own_to
     assert abs(msg.error_mg) - 6.0 < abs(beads.error_mg) - 3.0, "nearer to its bound in mg is the other one"
     text = page_of(ran.journal)
     assert f"{msg.error_mg:+.1f} mg of ±6worst error" in Tables(text).text
-    assert "mix: glass_beads/" in text
-    assert "mix: monosodium_glu…</text>" in text
+    assert "mix: glass_be…" in text
+    assert "mix: monosodium_glutamate</text>" in text
+
+
+def test_long_names_that_differ_by_their_ends_are_told_apart_below_a_picture() -> None:
+    names = [f"batch-of-the-7th-of-november-sample-{number}" for number in (1, 2)]
+    picture = times_figure([JobTime(name, name, 1, 0.0, 9.0, dict.fromkeys(ACTIVITIES, 1.0)) for name in names])
+    assert [f"batch-of-the-…ember-sample-{number}</text>" in picture for number in (1, 2)] == [True, True]
 
 
 def test_ids_in_another_script_are_drawn_as_text_without_a_word_about_fonts(tmp_path: Path) -> None:

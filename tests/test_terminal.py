@@ -140,6 +140,20 @@ def test_a_mass_is_not_told_of_all_the_powders_of_a_sample(tmp_path: Path) -> No
     assert view.shown().job == "mix: 80.0 mg ± 2.0 mg into alumina_crucible"
 
 
+def test_masses_side_by_side_are_told_each_with_its_powder(tmp_path: Path) -> None:
+    asked = "masses: [80 mg, 40 mg], tolerances: [3 mg, 4 mg], first: beads, sources: [beads, msg]"
+    path = tmp_path / "two.yaml"
+    samples = f"samples: [{{id: mix, container: alumina_crucible, {asked}}}]\n"
+    path.write_text(f"recipe: two\nworkflow: weigh_in\n{samples}{TWO_SOURCES}", encoding="utf-8")
+    lab = load_lab(starter_lab())
+    plan, off = make_plan(load_recipe(path, lab), lab), SimpleNamespace(latest=None, pan_empty_mg=None, opening_mm=0.0)
+    cell = SimpleNamespace(clock=VirtualClock(), balance=off, believed=off, hand=off)
+    view = LiveView(Console(file=io.StringIO()), cell, plan, Control(), "SIMULATED")  # type: ignore[arg-type]
+    view.attempt_started(plan.jobs[0], 1)
+    both = "80.0 mg ± 3.0 mg of glass_beads + 40.0 mg ± 4.0 mg of monosodium_glutamate"
+    assert view.shown().job == f"mix: {both} into alumina_crucible"
+
+
 def of_the_rest(first_s: float, plan: Plan) -> float:
     """What it is stretched by when the first took so long: a fifth of the plan counts beside it."""
     return (first_s + 0.2 * plan.duration_s) / (plan.done_s["a"] + 0.2 * plan.duration_s)

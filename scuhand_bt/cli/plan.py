@@ -215,6 +215,9 @@ def _composition_values(sample: "Sample") -> dict[str, Any] | None:
 
 
 def _plan_values(made: "Plan") -> dict[str, Any]:
+    from scuhand_bt.report import asked_mg
+
+    asked = {job.name: asked_mg(job.sample) if job.sample else ([], []) for job in made.jobs}
     return {
         "recipe": made.recipe.name,
         "jobs": [
@@ -227,6 +230,8 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
                 "container": job.sample.container.name if job.sample and job.sample.container else None,
                 "mass_mg": job.sample.mass_mg if job.sample else None,
                 "tolerance_mg": job.sample.tolerance_mg if job.sample else None,
+                "masses_mg": asked[job.name][0],
+                "tolerances_mg": asked[job.name][1],
                 "composition": _composition_values(job.sample) if job.sample else None,
             }
             for job in made.jobs

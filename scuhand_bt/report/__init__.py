@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from scuhand_bt.report.changer import changer_lines
     from scuhand_bt.report.dose_curves import curves_of_doses
     from scuhand_bt.report.dose_plot import plot_dose
-    from scuhand_bt.report.doses import amount_cell, asked_cells, composed_lines, doses_table, said_of
+    from scuhand_bt.report.doses import amount_cell, asked_cells, asked_mg, composed_lines, doses_table, said_of
     from scuhand_bt.report.live import LiveView, PlainLines, end_line
     from scuhand_bt.report.live_terminal import LiveTerminal
     from scuhand_bt.report.move_page import page_of_move
@@ -35,7 +35,7 @@ else:
             "report.changer": "changer_lines",
             "report.dose_curves": "curves_of_doses",
             "report.dose_plot": "plot_dose",
-            "report.doses": "amount_cell asked_cells composed_lines doses_table said_of",
+            "report.doses": "amount_cell asked_cells asked_mg composed_lines doses_table said_of",
             "report.live": "LiveView PlainLines end_line",
             "report.live_terminal": "LiveTerminal",
             "report.move_page": "page_of_move",
@@ -62,6 +62,7 @@ __all__ = [
     "PlainLines",
     "amount_cell",
     "asked_cells",
+    "asked_mg",
     "back_up",
     "chain_line",
     "changer_lines",

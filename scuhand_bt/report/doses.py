@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.journal.results import DoseResult, SampleResult
-from scuhand_bt.quantity import format_mass
+from scuhand_bt.quantity import format_mass, format_tolerance
 
 if TYPE_CHECKING:
     from scuhand_bt.recipe.plan import Plan
@@ -115,12 +115,16 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
 
 def asked_cells(sample: "Sample") -> tuple[str, str]:
     """What a sample asks for: masses and tolerances; of several powders side by side, as they are given."""
+    masses_mg, tolerances_mg = asked_mg(sample)
+    known = [format_tolerance(one) for one in tolerances_mg if one is not None]
+    return " + ".join(map(format_mass, masses_mg)), f"{' + '.join(known)} mg" if known else ""
+
+
+def asked_mg(sample: "Sample") -> tuple[list[float], list[float | None]]:
+    """The masses that a sample asks for, and their tolerances, in mg."""
     masses_mg = _side_by_side(sample, "masses") or [ask.mass_mg for ask in sample.asks]
-    masses = " + ".join(map(format_mass, masses_mg))
-    of_asks = [ask.tolerance_mg for ask in sample.asks] or [sample.tolerance_mg]
-    tolerances = _side_by_side(sample, "tolerances") or of_asks
-    known = [f"{one:g}" for one in tolerances if one is not None]
-    return masses, f"{' + '.join(known)} mg" if known else ""
+    alone = [] if sample.tolerance_mg is None else [sample.tolerance_mg]
+    return masses_mg, [*_side_by_side(sample, "tolerances")] or [ask.tolerance_mg for ask in sample.asks] or [*alone]
 
 
 def _side_by_side(sample: "Sample", name: str) -> list[float]:
@@ -139,7 +143,7 @@ def composed_lines(samples: "Iterable[Sample]") -> Iterator[str]:
     for sample in samples:
         if (made := sample.composition) is not None:
             parts = (
-                f"{format_mass(one.target_mg)} ± {one.tolerance_mg:g} mg of {one.lot} ({one.formula})"
+                f"{format_mass(one.target_mg)} ± {format_tolerance(one.tolerance_mg)} mg of {one.lot} ({one.formula})"
                 for one in made.powders
             )
             asked = " ".join(f"{one.element} {one.asked:.4g}" for one in made.elements)
@@ -201,7 +205,7 @@ def _masses(one: SampleResult | DoseResult) -> dict[str, str]:
         "target": format_mass(one.target_mg) if one.target_mg is not None else "",
         "dispensed": format_mass(one.dispensed_mg) if one.dispensed_mg is not None else "–",
         "error mg": f"{one.error_mg:+.1f} ± {one.uncertainty_mg:.1f}" if has_error else "–",
-        "tol. mg": f"{one.tolerance_mg:g}" if one.tolerance_mg is not None else "",
+        "tol. mg": format_tolerance(one.tolerance_mg) if one.tolerance_mg is not None else "",
     }
 
 

@@ -12,12 +12,14 @@ from rich.live import Live
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.pace import pace
+from scuhand_bt.journal.plain import plain_values
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.standing import Standing
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.report.live_terminal import LiveTerminal
 from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_grams, in_words
+from scuhand_bt.report.watching import asked_of
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.observers import BatchObserver
 from scuhand_bt.run.outcome import BatchResult
@@ -213,13 +215,15 @@ def _about(job: Job, attempt: int) -> str:
     if sample is not None and sample.composition is not None:
         parts = " and ".join(f"{format_mass(one.target_mg)} of {one.formula}" for one in sample.composition.powders)
         return f"{job.name}{again}: {sample.composition.product} of {parts}"
-    if sample is None or sample.mass_mg is None:
+    asked = list(asked_of(plain_values(sample.inputs))) if sample is not None else []
+    if sample is None or not any(mass for mass, _ in asked):
         return f"{job.name}{again}"
-    tolerance = f" ± {format_mass(sample.tolerance_mg)}" if sample.tolerance_mg is not None else ""
-    # Of several powders its mass may be that of one: which one is its workflow's to say.
-    of = f" of {sample.sources[0].powder.name}" if len(sample.sources) == 1 else ""
+    powders = {source.name: f" of {source.powder.name}" for source in sample.sources}
+    # Of several powders a mass alone may be that of one: which one is its workflow's to say.
+    whole = next(iter(powders.values())) if len(powders) == 1 else ""
+    doses = " + ".join(f"{mass}{powders.get(source, '') if len(asked) > 1 else whole}" for mass, source in asked)
     into = f" into {sample.container.name}" if sample.container is not None else ""
-    return f"{job.name}{again}: {format_mass(sample.mass_mg)}{tolerance}{of}{into}"
+    return f"{job.name}{again}: {doses}{into}"
 
 
 def end_line(result: BatchResult, seconds: float) -> str:

@@ -18,7 +18,7 @@ BEYOND = 3.0
 """An error larger than so many tolerances is drawn at the edge, as an arrow."""
 FEW = 40
 """So many doses still have their names below them."""
-LONGEST_NAME = 20
+LONGEST_NAME = 28
 _FILLS: Mapping[Activity, tuple[str, str]] = {
     "moving": ("#1b4965", ""),
     "scooping": ("#a3671f", "//"),
@@ -46,7 +46,7 @@ def errors_figure(runs: Sequence[Sequence[SampleResult]]) -> str:
     if not order:
         return ""
     with drawing():
-        figure = new_figure(9.5, 3.2)
+        figure = new_figure(9.5, 3.6)
         axes = plain_axes(figure.subplots())
         axes.axhspan(-1.0, 1.0, color="#8fbf9f", alpha=0.35, linewidth=0)
         for line in (-1.0, 0.0, 1.0):
@@ -73,7 +73,7 @@ def times_figure(jobs: Sequence[JobTime]) -> str:
         return ""
     used = [one for one in ACTIVITIES if any(job.spent_s[one] > 0 for job in jobs)]
     with drawing():
-        figure = new_figure(9.5, 3.4)
+        figure = new_figure(9.5, 3.8)
         axes = plain_axes(figure.subplots())
         places = [place + side for place in range(len(jobs)) for side in (-0.4, 0.4)]
         if len(jobs) > FEW:  # as areas: a thousand bars of eight parts are no picture any more
@@ -158,8 +158,9 @@ def _thinned(points: Sequence[Point]) -> Sequence[Point]:
 
 
 def _name_places(axes: Axes, names: Sequence[str]) -> None:
-    """Names below the places 0, 1, …; a long one is cut, and stands in the table in full."""
-    short = [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…" for name in names]
+    """Names below the places 0, 1, …; a long one is cut in its middle, as names often differ only by their ends."""
+    half = LONGEST_NAME // 2
+    short = [name if len(name) <= LONGEST_NAME else f"{name[: half - 1]}…{name[-half:]}" for name in names]
     axes.set_xticks(range(len(names)), short, rotation=60, ha="right", fontsize=7, parse_math=False)
 
 

@@ -26,7 +26,7 @@ from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.run_events import FaultRules, RunBegun
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.quantity import format_duration, format_mass, format_tolerance
 from scuhand_bt.report import viewer
 from scuhand_bt.report.audit import deeds_of_run
 from scuhand_bt.report.changer import slots_taken
@@ -106,7 +106,7 @@ class RunFacts:
         if doses:
             yield "median |error|", f"{statistics.median(abs(dose.error_mg) for dose in doses):.1f} mg"
             worst = max(doses, key=lambda dose: abs(dose.error_mg) / dose.tolerance_mg if dose.tolerance_mg else 0.0)
-            yield "worst error", f"{worst.error_mg:+.1f} mg of ±{worst.tolerance_mg:g}"
+            yield "worst error", f"{worst.error_mg:+.1f} mg of ±{format_tolerance(worst.tolerance_mg)}"
             yield "dosed", format_mass(sum(dose.dispensed_mg for dose in doses))
         yield "run time", format_duration(sum(self.time.total_s.values()))
         waited_s = self.time.total_s["waiting for persons"]

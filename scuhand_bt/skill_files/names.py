@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Wake
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.skill import Skill
 from scuhand_bt.skill_files.facts import Syntax
 
@@ -103,6 +104,8 @@ class Names:
         """A function of ours that is called, and what it is given beside: a method its object."""
         function = self.object_of(called)
         own: tuple[None, ...] = ()
+        if function is SkillFailed:
+            function, own = SkillFailed.__init__, (None,)
         if function is None and isinstance(called, ast.Attribute):
             owner = self.type_of(called.value)
             is_method = owner is not None and called.attr not in fields_of(owner)

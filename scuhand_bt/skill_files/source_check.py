@@ -6,6 +6,8 @@ What its names stand for is in `names.py`; what cannot be followed is taken for 
 import ast
 import builtins
 import inspect
+import os
+import sys
 import types
 import typing
 from collections.abc import Iterator, Mapping
@@ -18,11 +20,14 @@ from scuhand_bt import skill as sdk
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.leased import of_arm
 from scuhand_bt.cell_spec import DEVICES
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, Skill
 from scuhand_bt.skill_files.facts import Syntax
 from scuhand_bt.skill_files.names import CLOCKS, Function, Names, bound_in, fields_of, has_member
 
+EXITS = (sys.exit, os._exit, *(getattr(builtins, name, sys.exit) for name in ("exit", "quit")))
+"""What ends the whole program."""
 RESUMING = "settle"
 """The method that has the arm and the balance, too: by them an interrupted action is taken up."""
 _OF_ITS_OWN = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)
@@ -156,8 +161,12 @@ class _FunctionCheck:
                 self._check_halt(node)
             elif isinstance(node, ast.While):
                 self._check_end(node)
+            elif isinstance(node, ast.Raise) and node.exc is not None:
+                self._check_raised(node, node.exc, nodes)
             elif isinstance(node, ast.Call):
                 self._check_clock(node)
+                if any(self._names.object_of(node.func) is one for one in EXITS):
+                    self._warn_of_fault(node, f"`{ast.unparse(node.func)}` is called here")
                 self._check_device(node)
                 self._check_arguments(node)
 
@@ -243,6 +252,20 @@ class _FunctionCheck:
         if is_endless and not any(isinstance(inner, goes_on) for part in node.body for inner in _with(part)):
             what = "this loop never ends and never waits: nothing else would go on"
             self._add(node, what, "`yield from pause(cell, …)` in it, or `break`", "skill-endless")
+
+    def _check_raised(self, node: ast.Raise, raised: ast.expr, nodes: list[ast.AST]) -> None:
+        """What the engine calls may fail by SkillFailed alone; what is caught in it is its own business."""
+        kind = self._names.object_of(raised.func if isinstance(raised, ast.Call) else raised)
+        is_fault = isinstance(kind, type) and issubclass(kind, BaseException) and not issubclass(kind, SkillFailed)
+        if not is_fault or self._skill is None or self._function.name not in ("run", RESUMING, "check"):
+            return
+        tries = [one for one in nodes if isinstance(one, ast.Try) and one.handlers]
+        if not any(inner is node for one in tries for part in one.body for inner in _with(part)):
+            self._warn_of_fault(node, f"`{kind.__name__}` is raised here")
+
+    def _warn_of_fault(self, node: ast.AST, what: str) -> None:
+        what += ": a fault of the skill, at which the whole run ends"
+        self._problems.warn(_mark(self._file, node), what, "`raise SkillFailed(code, why)`", code="skill-fault")
 
     def _check_arguments(self, node: ast.Call) -> None:
         """What a method of a device, or a function of the SDK, is called with."""

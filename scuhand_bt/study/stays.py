@@ -1,5 +1,6 @@
 """When persons come to a run: moments that need them soon after each other are one stay."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -61,15 +62,20 @@ def unforeseen_in_words(plan: Plan, odds: Odds) -> Iterator[str]:
         )
 
 
+def _by(after_s: float) -> str:
+    """So long after the start at the latest: where no seconds are told, no minute is too early."""
+    return format_duration(after_s if after_s < 3600.0 else 60.0 * math.ceil(after_s / 60.0))
+
+
 def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]:
     """How often somebody comes, and when: after the start, or by the clock of a night. Nothing for who never does."""
     found = list(stays(plan, odds))
     if not any(stay.moments for stay in found):
         return
-    told = format_duration if night is None else night.clock
+    told, by = (format_duration, _by) if night is None else (night.clock, night.by)
     times = list[str]()
     for stay in found:
-        first, last = told(stay.from_s), told(stay.until_s)
+        first, last = told(stay.from_s), by(stay.until_s)
         if not times:
             span = f"from the start until {last}"
         elif first != last:

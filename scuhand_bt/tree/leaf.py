@@ -117,7 +117,7 @@ class Ticking:
         self.acting: set[SkillLeaf] = set()
         """The leaves whose skill is at work."""
         self.rejoining: SkillLeaf | None = None
-        """The leaf that brings the cell to where it was before an interruption: no other begins meanwhile."""
+        """The leaf that settles what an interruption has left: no other begins meanwhile."""
         self.is_pausing = False
         """No action may begin."""
         self.going_on = Signal()
@@ -301,13 +301,15 @@ class SkillLeaf(Behaviour):
                 shared.wait(self, asked)
                 return False
             self._may_begin = True
-        devices = sorted({*self.skill.devices, *REJOINING}) if replay.is_to_rejoin else self.skill.devices
-        if wakes := self._lacks(devices):
+        is_open = self._recorded is not None
+        also: tuple[str, ...] = REJOINING if replay.is_to_rejoin else ()
+        if is_open and not also and self.skill.settle is not Skill.settle:
+            also, self._began_waiting_s = ("arm",), now_s  # which `settle` is given; what has it comes to its end
+        if wakes := self._lacks((*dict.fromkeys((*self.skill.devices, *also)),)):
             shared.wait(self, *wakes)
             return False
-        if replay.is_to_rejoin:
-            shared.rejoining = self
         skill = made(self.name, self.skill, inputs)
+        shared.rejoining = self if replay.is_to_rejoin or is_open else None
         shared.listener.started(self, inputs)
         self._is_recorded = True
         shared.acting.add(self)
@@ -316,7 +318,7 @@ class SkillLeaf(Behaviour):
             raise TypeError("its run is no generator; it must `yield` somewhere")
         if shared.substitutes is not None:
             self._steps = shared.substitutes.steps(self.path, shared.cell.clock, self._steps)
-        if replay.is_to_rejoin or self._recorded is not None:
+        if shared.rejoining is self:
             self._steps = self._resume(skill, self._steps, shared.listener.in_words(inputs))
         return True
 
