@@ -228,7 +228,7 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "parallel-devices": Finding("Two children of a `parallel` command one device.", "Use `sequence`."),
         "parallel-zones": Finding("Two children of a `parallel` move in one zone of the cell.", "Use `sequence`."),
         "parallel-values": Finding(
-            "A child of a `parallel` sets a value that another one sets, or reads.",
+            "A child of a `parallel` sets or records a value that another one does, or sets one that another reads.",
             "A name of its own for each result.",
         ),
         "unknown-zone": Finding(

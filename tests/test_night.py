@@ -243,7 +243,7 @@ def test_no_moment_is_told_to_be_over_before_one_that_comes_before_it(plan: Plan
     swap = next(person for person in plan.persons if person.job is not None)
     job, whole = str(swap.job), trial_of(plan, 600.0)
     made = replace(plan, persons=(swap, replace(swap, what="b"), replace(swap, what="c")))
-    asked_s = [[[at_s, at_s], [4000.0 + at_s / 1e4, 4000.0], [9000.0, 9000.0]] for at_s in (1000.0, 2000.0, 3900.0)]
+    asked_s = [[[at_s, at_s], [4000.0 + at_s / 1e4, 4000.0], [6000.0, 6000.0]] for at_s in (1000.0, 2000.0, 3900.0)]
     odds = odds_of(made, [replace(whole, asked_s={job: spans}) for spans in asked_s])
     first, second, third = (when for _, when in odds.persons_s(made) if when is not None)
     assert odds.moments_s[job][1].high < first.high, "by itself"

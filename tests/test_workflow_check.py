@@ -281,6 +281,28 @@ def test_workflows_that_double_each_other_are_refused_at_once(starter: Lab) -> N
     assert "is a tree of more than 5000 nodes" in problems[0]
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "is_told"),
+    [
+        ("record: {net: 1 g}", "deep: ", True),
+        ("repeat: {times: 2, child: {record: {net: a}}}", "repeat: {times: 3, child: {deep: }}", True),
+        ("repeat: {times: 2, child: {record: {net: a}}}", "deep: ", False),
+        ("record: {gross: 1 g}", "deep: ", False),
+    ],
+)
+def test_two_children_of_a_parallel_that_record_one_name_are_told(
+    starter: Lab, one: str, other: str, is_told: bool
+) -> None:
+    """The sample's row has the value that came last, and which that was the run told by chance."""
+    deep = "workflow: deep\ntree: {sequence: [{record: {net: b}}]}\n"
+    problems = said(starter, f"{{parallel: [{{{one}}}, {{{other}}}]}}", deep=deep)
+    told = [problem for problem in problems if "both record" in problem]
+    assert len(told) == is_told
+    assert all(
+        problem.startswith("2:") and "children 1 and 2 of 'parallel' both record 'net'" in problem for problem in told
+    )
+
+
 def test_parallel_over_one_device_is_seen_through_nested_workflows(starter: Lab) -> None:
     deep = "workflow: deep\ntree: {invert: {move: }}\n"
     a = "workflow: a\ntree: {sequence: [{weigh: }, {deep: }]}\n"

@@ -183,6 +183,7 @@ def test_a_zone_that_the_arm_was_left_in_is_free_for_the_hand_there_and_for_noth
     leases, dosing = Leases(bench.cell), object()
     assert leases.missing(["changer", "balance"], CHANGER, ["pan"]) == ["pan"]
     assert not leases.take(["changer", "balance"], CHANGER, ["pan"])
+    assert leases.missing(["changer", "hand"], CHANGER, ["pan"]) == ["pan"], "whatever else the skill commands"
     assert leases.take(["hand", "balance"], dosing, ["pan"])
     leases.give_back(dosing)
     bench.way.commands["arm"] = ARM

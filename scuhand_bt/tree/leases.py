@@ -41,8 +41,11 @@ class Leases:
         return missing + self.stood_in(devices, zones)
 
     def stood_in(self, devices: Iterable[str], zones: Iterable[str]) -> list[str]:
-        """The zones that are not free as the arm was left in them; none for who moves it, or has the hand on it."""
-        return [] if {"arm", "hand"}.intersection(devices) else [zone for zone in zones if self._way.is_stood_in(zone)]
+        """The zones that are not free as the arm was left in them; none for who moves it, or has but the hand on it."""
+        used = {*devices}
+        if "arm" in used or ("hand" in used and "changer" not in used):
+            return []
+        return [zone for zone in zones if self._way.is_stood_in(zone)]
 
     def give_back(self, owner: object) -> None:
         """The owner has ended: its devices are free once they have stopped, and its zones then, if the arm is out."""

@@ -1,17 +1,29 @@
 """What goes on at once: the children of a `parallel` have no device, no zone and no value between them."""
 
+from collections.abc import Iterator
 from typing import Any
 
 from scuhand_bt.problems import Problems
 from scuhand_bt.skill import Skill
+from scuhand_bt.tree.grammar import RECORD
 from scuhand_bt.tree.library import Library, skills_of
-from scuhand_bt.tree.workflow import Branch, Call, arguments_of, references_of, walk
+from scuhand_bt.tree.workflow import (
+    Branch,
+    Call,
+    Decorator,
+    TreeNode,
+    arguments_of,
+    children_of,
+    references_of,
+    walk,
+)
 
 
 def check_side_by_side(node: Branch, defined: frozenset[str], library: Library, problems: Problems) -> None:
     """Check a `parallel`; `defined` are the names that have a value before it."""
     _check_places(node, library, problems)
     _check_values(node, defined, problems)
+    _check_records(node, library, problems)
 
 
 def _check_places(node: Branch, library: Library, problems: Problems) -> None:
@@ -76,3 +88,28 @@ def _check_values(node: Branch, defined: frozenset[str], problems: Problems) -> 
                 elif name in also_reads and name not in also_sets:
                     what = f"child {other} of 'parallel' reads '${name}', which child {number} sets"
                     problems.add(also_reads[name], what, remedy, code="parallel-values")
+
+
+def _check_records(node: Branch, library: Library, problems: Problems) -> None:
+    """No two children record one name: the sample's row has the value that came last."""
+    first: dict[tuple[str, int], int] = {}
+    for number, child in enumerate(node.children, start=1):
+        names = dict.fromkeys(_recorded(child, library, 0, set()))
+        for name, depth in names:
+            if first.setdefault((name, depth), number) != number:
+                what = f"children {first[name, depth]} and {number} of 'parallel' both record '{name}'"
+                problems.add(
+                    child.mark, what, "which comes last is not known; a name of its own", code="parallel-values"
+                )
+
+
+def _recorded(node: TreeNode, library: Library, depth: int, seen: set[tuple[str, int]]) -> Iterator[tuple[str, int]]:
+    """The names that are recorded, also in what is called, and in how many loops: each adds its round's number."""
+    if isinstance(node, Call) and node.name == RECORD:
+        yield from ((name, depth) for name in node.arguments)
+    elif isinstance(node, Call) and node.name in library.workflows and (node.name, depth) not in seen:
+        seen.add((node.name, depth))
+        yield from _recorded(library.workflows[node.name].tree, library, depth, seen)
+    depth += isinstance(node, Decorator) and node.kind in ("for_each", "repeat")
+    for child in children_of(node):
+        yield from _recorded(child, library, depth, seen)
