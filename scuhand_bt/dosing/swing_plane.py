@@ -54,6 +54,7 @@ AROUND_EDGE = 37
 """Points of half of the vessel's edge, inside and outside."""
 EVENED_MM = 8.0
 """The lip's way over which a change of the attack is spread, before and behind."""
+ROUNDING_MM = 1e-6
 SLACK_MM = 0.05
 """The sheet beside the lip may be so much nearer to the wall than the lip itself."""
 
@@ -175,9 +176,14 @@ class Flat:
 
     def _least(self, lip_mm: Floats, steep: float, rim_mm: float, grid: Floats) -> float:
         """The first attack of a grid [rad] that is clear, looked for roughly before exactly; or its first."""
+        # Of most attacks the apex alone tells that they are not: of all of them at once at the price of one.
+        inclines, slant_mm = steep - grid, self._ladle.slant_mm
+        along_mm, up_mm = lip_mm[0] - slant_mm * np.cos(inclines), lip_mm[1] - slant_mm * np.sin(inclines)
+        apexes_mm = np.stack([along_mm, np.zeros_like(grid), up_mm], axis=1)
+        may_be = self._vessel.clearance_mm(apexes_mm) > APEX_CLEAR_MM - ROUNDING_MM
 
         def is_clear(n: int) -> bool:
-            return self._clear(self._at(lip_mm, steep, float(grid[n]), rim_mm))
+            return bool(may_be[n]) and self._clear(self._at(lip_mm, steep, float(grid[n]), rim_mm))
 
         near = next((n for n in range(0, len(grid), COARSELY) if is_clear(n)), 0)
         return float(grid[next(n for n in range(max(0, near - COARSELY + 1), near + 1) if n == near or is_clear(n))])

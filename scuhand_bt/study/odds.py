@@ -13,8 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import betaln
-from scipy.stats import beta, t
+from scipy.special import betaincinv, betaln, stdtrit  # not `stats`, which takes half a second
 
 from scuhand_bt.dosing.verdict import LIKELY
 from scuhand_bt.exit_codes import ExitCode
@@ -256,7 +255,7 @@ def _of_masses(masses_mg: Sequence[float]) -> Range:
     if len(masses_mg) < FEWEST:
         return _seen(masses_mg)
     mean, many = float(np.mean(masses_mg)), len(masses_mg)
-    half = float(t.ppf(0.5 + COVERED / 2.0, many - 1) * np.std(masses_mg, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
+    half = float(stdtrit(many - 1, 0.5 + COVERED / 2.0) * np.std(masses_mg, ddof=1)) * math.sqrt(1.0 + 1.0 / many)
     half = math.hypot(half, WIDE * MODEL_MASS_SHARE * mean)
     return Range(max(0.0, mean - half), float(np.median(masses_mg)), mean + half)
 
@@ -296,7 +295,7 @@ def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
     # Thousands of kinds are as many as came out differently.
     came, which, many = np.unique(np.array(kinds), axis=0, return_inverse=True, return_counts=True)
     good, tried = came.T
-    batch = beta.ppf((np.arange(RATES) + 0.5) / RATES, 0.5, 0.5)[:, np.newaxis]
+    batch = betaincinv(0.5, 0.5, (np.arange(RATES) + 0.5) / RATES)[:, np.newaxis]
     counts = np.array(BATCH_COUNTS)[:, np.newaxis, np.newaxis]
     a, b = counts * batch, counts * (1.0 - batch)
     logs = np.sum(many * (betaln(a + good, b + tried - good) - betaln(a, b)), axis=-1, keepdims=True)
@@ -309,7 +308,7 @@ def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
     # Of the interval a beta distribution with that mean and variance.
     size = mean * (1.0 - mean) / variance - 1.0
     low, high = (
-        beta.ppf(share, size * mean, size * (1.0 - mean)) for share in ((1.0 - COVERED) / 2.0, (1.0 + COVERED) / 2.0)
+        betaincinv(size * mean, size * (1.0 - mean), share) for share in ((1.0 - COVERED) / 2.0, (1.0 + COVERED) / 2.0)
     )
     figures = zip(mean.tolist(), low.tolist(), high.tolist(), tried.tolist(), good.tolist(), strict=True)
     chances = [Chance(*one) for one in figures]

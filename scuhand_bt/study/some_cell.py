@@ -13,7 +13,7 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri  # not `stats`, which takes each process half a second
 
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.sim.powder import OurPowderFlow
@@ -53,7 +53,7 @@ class SomeCell:
     def __init__(self) -> None:
         self._kind = KINDS[self.seed % len(KINDS)]
         shares = (0.5 + self.seed * np.sqrt(PRIMES)) % 1.0
-        drawn = norm.ppf(np.clip(shares, SURE, 1.0 - SURE))
+        drawn = ndtri(np.clip(shares, SURE, 1.0 - SURE))
         self._lumps, self._lag, self._flow, self._dead, self._noise, self._yield = drawn
 
     def flow(self, powder: Powder) -> OurPowderFlow:
