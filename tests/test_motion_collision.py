@@ -14,7 +14,7 @@ from scuhand_bt.motion.arm_model import MismatchedCellError
 from scuhand_bt.motion.collision import SMALLEST_MARGIN_M, Arm, Scene, Solid
 from scuhand_bt.motion.coordinates import JointCoordinates
 from scuhand_bt.motion.free_space import Space
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount, apex
+from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Mount, apex
 from scuhand_bt.motion.timelaw import RateLimits
 
 URDF = load_lab(starter_lab()).urdf
@@ -206,6 +206,23 @@ def test_what_may_be_touched_is_not_a_hit(arm):
     shapes = arm.with_sheet(HandSpec(), [90.0])
     assert Scene(arm, shapes, [pad], 0.001).hits(q).all()
     assert not Scene(arm, shapes, [pad], 0.001, may_touch=["pad"]).hits(np.repeat(q, 40, axis=0)).any()
+
+
+@pytest.mark.parametrize("kind", ["agate_mortar", "small_agate_mortar"])
+def test_a_mortar_that_may_be_touched_is_as_near_as_the_nearest_of_its_parts(kind):
+    lab = load_lab(starter_lab())
+    planner = lab.motion_planner({"mortar_bay": lab.library.mortars[kind]})
+    x_mm, y_mm, z_mm = lab.cell.stations["mortar_bay"].position_mm
+    planner.add_place("over", ApexPose(np.array([x_mm, y_mm, z_mm + 90.0]) / 1000))
+    hollow, full = planner.scene(0.001, "mortar_bay"), planner.scene(0.001)
+    rng = np.random.default_rng(3)
+    q = planner.standing_at("over") + rng.normal(0.0, 0.2, (600, 7))
+    hits, distances_m = hollow.hits(q), np.array([hollow.distances_m(one).min() for one in q])
+
+    assert (hits == (distances_m <= 0.001))[np.abs(distances_m - 0.001) > 1e-6].all()
+    by_a_part = [any(name.startswith("mortar_bay wall") for name in hollow.touched(one)) for one in q]
+    assert np.mean(by_a_part) > 0.01, "none comes to the mortar"
+    assert np.mean(~hits & full.hits(q)) > 0.01, "none is in it"
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from scuhand_bt.specs import ContainerKind, Mortar
 _RINGS = 8
 _SIDES = 24
 _CONTAINER_WALL_MM = 3.0
+_AROUND_M = 1e-3
 
 
 def solids_of(obstacles: Iterable[Obstacle]) -> list[Solid]:
@@ -52,6 +53,14 @@ def full_mortar(station: Station, mortar: Mortar) -> Solid:
     x, y, z = (value / 1e3 for value in station.position_mm)
     height_m = mortar.height_mm / 1e3
     return Solid(station.name, (x, y, z + height_m / 2), cylinder_m=(mortar.outer_diameter_mm / 1e3, height_m))
+
+
+def around(station: Station, mortar: Mortar) -> Solid:
+    """What encloses all parts of a hollow mortar, by a millimetre: their corners, a floor thinner than its own."""
+    x, y, z = (value / 1e3 for value in station.position_mm)
+    wide_m, height_m = mortar.outer_diameter_mm / 1e3 / math.cos(math.pi / _SIDES), mortar.height_mm / 1e3
+    size_m = (wide_m + 2 * _AROUND_M, height_m + 2 * _AROUND_M)
+    return Solid(f"{station.name} around", (x, y, z + height_m / 2), cylinder_m=size_m)
 
 
 def hollow_mortar(station: Station, mortar: Mortar) -> list[Solid]:

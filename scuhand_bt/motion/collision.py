@@ -81,8 +81,8 @@ class Solid:
 class Scene:
     """The arm with one size of cone in one state of the cell; immutable.
 
-    `may_touch`: names of solids that the sheet may touch (a scoop's own mortar). `margin_m`: what every
-    configuration called free is away from everything.
+    `may_touch`: names of solids that the sheet may touch (a scoop's own mortar); `around` encloses them. `margin_m`:
+    what every configuration called free is away from everything.
     """
 
     def __init__(
@@ -92,6 +92,7 @@ class Scene:
         solids: Sequence[Solid],
         margin_m: float,
         may_touch: Iterable[str] = (),
+        around: Solid | None = None,
     ) -> None:
         if margin_m < SMALLEST_MARGIN_M:
             raise ValueError("coal misses penetrations when its security margin is zero")
@@ -101,15 +102,11 @@ class Scene:
         """How many of `shapes` are the URDF's: the first."""
         self.model = arm.model
         self.bound = SweptBound(shapes, arm.model)
-        self.shapes = pin.GeometryModel(shapes)
-        moving = self.shapes.ngeoms
-        for solid in solids:
-            self.shapes.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
         touchable = set(may_touch)
-        for first, second in [*_pairs(self.shapes, moving, touchable), *arm.near_pairs(shapes)]:
-            if not arm.may_touch or arm.is_looked_at(*(self.shapes.geometryObjects[k].name for k in (first, second))):
-                self.shapes.addCollisionPair(pin.CollisionPair(first, second))
-        self._foremost = _foremost(arm, shapes, [solid for solid in solids if solid.name not in touchable])
+        self.shapes = _among(arm, shapes, solids, touchable)
+        others = [solid for solid in solids if solid.name not in touchable]
+        self._foremost = _foremost(arm, shapes, others)
+        self._enclosed = None if around is None else _among(arm, shapes, [*others, around], {around.name})
         # From here on the models are complete; only now may data be made of them.
         self._data = self.model.createData()
 
@@ -121,14 +118,30 @@ class Scene:
     def _first(self) -> "_Pairs":
         return _Pairs(self.model, self._foremost)
 
+    @cached_property
+    def _outer(self) -> "_Pairs | None":
+        return None if self._enclosed is None else _Pairs(self.model, self._enclosed)
+
     def hits(self, q: Floats) -> NDArray[np.bool_]:
         """Which of the configurations (n, 7) come nearer than the margin to anything: (n,) bool."""
         # Beyond the joints' limits nothing is free.
         hit = self._outside(q)
         left = ~hit
         if left.any():
-            hit[left] = self._all.nearer(q[left], self.margin_m)
+            hit[left] = self._nearer(q[left], self.margin_m)
         return hit
+
+    def _nearer(self, q: Floats, margin_m: float, until_first: bool = False) -> NDArray[np.bool_]:
+        """As `_Pairs.nearer`. A mortar's two hundred solids are looked at only where what encloses them is near.
+
+        That tells of most configurations of a stroke, in a seventh of the time.
+        """
+        if self._outer is None:
+            return self._all.nearer(q, margin_m, until_first)
+        near = self._outer.nearer(q, margin_m)
+        if near.any():
+            near[near] = self._all.nearer(q[near], margin_m, until_first)
+        return near
 
     def _outside(self, q: Floats) -> NDArray[np.bool_]:
         outside: NDArray[np.bool_] = ((q < self.limits_rad[0] - 1e-9) | (q > self.limits_rad[1] + 1e-9)).any(axis=1)
@@ -143,7 +156,7 @@ class Scene:
 
     def any_hit(self, q: Floats) -> bool:
         """Whether any configuration of a path (n, 7) is hit."""
-        return bool(self._outside(q).any() or self._all.nearer(q, self.margin_m, until_first=True).any())
+        return bool(self._outside(q).any() or self._nearer(q, self.margin_m, until_first=True).any())
 
     def first_hit(self, q: Floats) -> Floats | None:
         """The first configuration (7,) of a path (n, 7) that is hit, looked for a few at a time; None where none is."""
@@ -193,7 +206,7 @@ class Scene:
         # What is hit is so at many of them mostly: a few tell, at a tenth of the price.
         if self.any_hit(q[(_GLANCED_AT * (len(q) - 1)).astype(int)]):
             return False
-        near = self._all.nearer(q, wide_m)
+        near = self._nearer(q, wide_m)
         if not near.any():
             return True
         if self.any_hit(q[near]):
@@ -254,6 +267,18 @@ class _Pairs:
             self._margin_m = margin_m
         columns = np.ascontiguousarray(q.T)
         return np.asarray(pin.computeCollisionsInParallel(1, self._pool, columns, True, until_first), dtype=bool)
+
+
+def _among(arm: Arm, shapes: pin.GeometryModel, solids: Sequence[Solid], touchable: set[str]) -> pin.GeometryModel:
+    """The arm's shapes among solids, with all pairs that must not touch."""
+    model = pin.GeometryModel(shapes)
+    moving = model.ngeoms
+    for solid in solids:
+        model.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
+    for first, second in [*_pairs(model, moving, touchable), *arm.near_pairs(shapes)]:
+        if not arm.may_touch or arm.is_looked_at(*(model.geometryObjects[k].name for k in (first, second))):
+            model.addCollisionPair(pin.CollisionPair(first, second))
+    return model
 
 
 def _foremost(arm: Arm, shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:

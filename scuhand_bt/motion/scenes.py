@@ -112,7 +112,9 @@ class Scenes:
     def _kept(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: tuple[float, ...]) -> Scene:
         def made() -> Scene:
             solids, touchable = self._solids(geometry, touching)
-            return Scene(self._arm, self._arm.with_sheet(self._cell.hand, rims_mm), solids, margin_m, touchable)
+            shapes = self._arm.with_sheet(self._cell.hand, rims_mm)
+            around = None if touching is None else cell_solids.around(self._station(touching), self._mortars[touching])
+            return Scene(self._arm, shapes, solids, margin_m, touchable, around)
 
         kept = self._scenes if touching is None else self._of_strokes
         return kept.of((geometry, margin_m, touching, rims_mm), made)
