@@ -343,6 +343,7 @@ def test_what_has_changed_since_is_refused_or_accepted_by_name(lab_folder: LabFo
         (change,) = found.changes
         assert "two.yaml or one of its tables has changed" in change
         assert "1 of 2 samples are finished." in found.known
+        assert found.known[-1].startswith("The cone held "), "nothing was at work: there is no action before which"
         assert not found.is_on_the_cell
         with pytest.raises(api.SourceError, match="another process"):
             api.resume(lab=lab_folder.folder, accept_changes=True)

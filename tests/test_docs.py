@@ -280,6 +280,17 @@ def test_every_option_that_is_said_is_one_of_some_command() -> None:
         assert said <= known, page.name
 
 
+def test_every_option_of_a_command_is_told_on_the_page_of_commands() -> None:
+    page = (REPOSITORY / "docs" / "commands.md").read_text(encoding="utf-8")
+
+    def untold(command: Any) -> set[str]:
+        options = [p for p in command.params if p.param_type_name == "option" and not p.hidden and p.name != "help"]
+        missing = {p.opts[0] for p in options if not any(re.search(rf"{re.escape(o)}(?![\w-])", page) for o in p.opts)}
+        return missing.union(*map(untold, getattr(command, "commands", {}).values()))
+
+    assert untold(COMMANDS) == set()
+
+
 def _anchors(text: str) -> set[str]:
     """What a page's headings are called in links, as GitHub has it."""
     headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)

@@ -128,6 +128,14 @@ def test_a_port_that_is_not_there_ends_the_checks_of_its_device_only(healthy: Wi
     assert failed(findings) == [("arm", "port", "/dev/no-such-port is not there")]
 
 
+def test_a_changer_without_a_port_is_told_to_be_named_one_or_to_be_a_person(healthy: WireBench) -> None:
+    spec = healthy.spec.model_copy(update={"changer": healthy.spec.changer.model_copy(update={"port": ""})})
+    (finding,) = [f for f in examine(spec, WallClock(), self_test=False) if f.verdict == "FAIL"]
+    assert (finding.device, finding.found) == ("changer", "none is named")
+    assert finding.what_to_do.startswith("name its `port`")
+    assert "driver: operator" in finding.what_to_do
+
+
 @pytest.mark.parametrize(
     ("late_s", "every", "verdict"),
     [(0.001, 1, "ok"), (0.03, 200, "ok"), (0.03, 50, "FAIL"), (0.1, 200, "FAIL")],

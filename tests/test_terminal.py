@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -398,6 +399,8 @@ def test_watching_a_run_to_its_end_says_what_to_do_next(tmp_path: Path, command:
     assert f"{run.journal.stem} (SIMULATED): stopped: as was asked for; 0 of 3 samples good." in out
     for what in ("resume", "report", "show"):
         assert f"`scuhand-bt {what} {run.journal.stem}`" in out
+    table = out.split("holds (sim.)")[1]
+    assert re.findall(r"^(\w)  ", table, re.M) == ["a", "b", "c"], "the plan's order, though `a` was told last"
 
 
 # --- how much is told

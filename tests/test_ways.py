@@ -13,6 +13,7 @@ import pytest
 from conftest import Call, LabFolder
 
 from harness.own_workflow import RECIPE, TREE, write_own
+from scuhand_bt import api
 from scuhand_bt.bench_spec import Point
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing.ladle import LIP_GAP_MM, Stroke
@@ -388,6 +389,10 @@ def test_a_bowl_that_gives_little_at_a_time_is_refused_where_that_is_less_than_w
     recipe.write_text(said.replace("xrd_holder, mass: 50 mg", f"alumina_crucible, mass: {mass}"))
     told = [message for message in blocked(lab) if re.search("a stroke in this bowl brings", message)]
     assert len(told) == cannot
+    if cannot:  # not only of a run on the cell: a dry run scooped for nine minutes in vain
+        with pytest.raises(SkillFailed, match=r"'\w+' cannot be scooped from: of .* a stroke in this bowl brings"):
+            api.open_lab(lab.folder).dry_run(recipe, seed=1)
+        assert not list((lab.folder / ".scuhand").glob("runs/*"))
 
 
 def test_a_refill_that_would_fill_a_bowl_too_much_to_be_scooped_from_is_refused(lab: LabFolder) -> None:

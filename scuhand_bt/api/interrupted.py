@@ -110,15 +110,17 @@ def what_is_known(history: "History", samples: int) -> list[str]:
         f"the last entry is of {history.at}.",
         f"{len(done)} of {samples} samples are finished.",
     ]
+    the_cone = "The cone"
     if (unfinished := history.unfinished()) is not None:
         job, name = unfinished
         open_ones = [recorded.skill for recorded in job.actions.values() if recorded.outcome not in ("done", "failed")]
         at_work = f" '{open_ones[-1]}' had begun and not ended: how far it came is not known yet." if open_ones else ""
+        the_cone = "Before that action the cone" if open_ones else the_cone
         why = f", and had failed: {job.failure}; it is taken up where it failed" if job.failure is not None else ""
         lines.append(f"'{name}' was under way{why}.{at_work}")
     if believed:
         source, pan = believed["cone_source"], believed["pan"]
         cone = f"about {format_mass(believed['cone_mg'])} from '{source}'" if source else "no powder"
         on_pan = f"'{pan['id']}' ({pan['name']})" if pan else "nothing that is known"
-        lines.append(f"Before that action the cone held {cone}, and on the pan stood {on_pan}.")
+        lines.append(f"{the_cone} held {cone}, and on the pan stood {on_pan}.")
     return lines

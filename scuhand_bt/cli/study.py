@@ -218,10 +218,9 @@ def tell_odds(odds: "Odds") -> None:
     else:
         by = f"{odds.trials} dry runs, which tell no interval (what these had)"
     out.print(f"\nBy {by}: it takes {_range(odds.duration_s, format_duration)}.")
-    kinds = next(iter(odds.leftovers_mg.values()), {})
-    table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in kinds), show_edge=False)
+    table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in odds.left), show_edge=False)
     for name, scoops in odds.scoops.items():
-        masses = (odds.used_mg[name], *odds.leftovers_mg[name].values())
+        masses = (odds.used_mg[name], *(odds.leftovers_mg[name][kind] for kind in odds.left))
         table.add_row(name, _range(scoops, lambda count: f"{count:.0f}"), *(_range(one, format_mass) for one in masses))
     if odds.scoops:
         out.print(table)

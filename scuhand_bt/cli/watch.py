@@ -60,4 +60,7 @@ def _follow(its: "PastRun") -> None:
     if now.begun is None:
         err.print(Text(f"{its.id}: it had not begun."))
         raise typer.Exit(ExitCode.BAD_INPUT)
-    out.print(doses_table(list(now.samples.values()), out.width))
+    # `samples` has the one that was told last behind all others; the table is that of the run, in the plan's order
+    place = {sample.id: number for number, sample in enumerate(now.begun.samples or ())}
+    ordered = sorted(now.samples.values(), key=lambda sample: place.get(sample.id, len(place)))
+    out.print(doses_table(ordered, out.width))

@@ -103,9 +103,13 @@ def port_of(device: str, port: str) -> Finding:
         return Finding(device, "port", port, "one to open", "ok")
     if not (port and Path(port).exists()):
         here = [f"{there.device} ({there.description})" for there in sorted(list_ports.comports())]
-        known = ", ".join(here) or "none"
-        do = f"plug it in, or correct its `port` in robot/cell.yaml; this computer's serial ports: {known}"
-        return judged(device, "port", f"{port or 'none'} is not there", "one that you may use", False, do)
+        known = f"this computer's serial ports: {', '.join(here) or 'none'}"
+        found, do = f"{port} is not there", f"plug it in, or correct its `port` in robot/cell.yaml; {known}"
+        if not port:
+            found, do = "none is named", f"name its `port` in robot/cell.yaml; {known}"
+        if not port and device == "changer":
+            do += "; or write `changer: {driver: operator}`: a person changes containers"
+        return judged(device, "port", found, "one that you may use", False, do)
     may_be_used = os.access(port, os.R_OK | os.W_OK)
     found = port if may_be_used else f"{port}, which you may not use"
     do = "add yourself to the group that owns it (`sudo usermod -aG dialout $USER`), and log in again"

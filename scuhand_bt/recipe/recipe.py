@@ -266,6 +266,8 @@ class _Reader:
             return OVERSHOOT_LIMIT
         if not (text.isascii() and text.isdigit() and len(text) <= 6):
             what = f"'overshoot_limit': '{shorten(text)}' is no number of samples"
-            self.problems.add(root.values["overshoot_limit"].mark, what, "2, or 0 for no limit", code="bad-value")
+            self.problems.add(
+                root.values["overshoot_limit"].mark, what, "a whole number, or 0 for no limit", code="bad-value"
+            )
             return OVERSHOOT_LIMIT
         return int(text)

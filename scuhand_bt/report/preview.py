@@ -110,7 +110,7 @@ def _when(found: Range | None) -> str:
 
 
 def _powder_columns(odds: Odds) -> list[str]:
-    left = [f"left, {kind}" for kind in next(iter(odds.leftovers_mg.values()), {})]
+    left = [f"left, {kind}" for kind in odds.left]
     return ["source", "powder", "station", "samples", "scoops", "needed with losses", "used", *left, "amount"]
 
 
@@ -125,7 +125,7 @@ def _powders(plan: Plan, odds: Odds) -> Iterator[list[str]]:
             _range(odds.scoops[source.name], lambda count: f"{count:.0f}"),
             format_mass(demand.needed_mg),
             _range(odds.used_mg[source.name], format_mass),
-            *(_range(one, format_mass) for one in odds.leftovers_mg[source.name].values()),
+            *(_range(odds.leftovers_mg[source.name][kind], format_mass) for kind in odds.left),
             amount_cell(plan, source),
         ]
 

@@ -10,7 +10,7 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.patience import LIVE_S
 from scuhand_bt.recipe.plan import Plan
-from scuhand_bt.run.ways import prepare_ways
+from scuhand_bt.run.ways import prepare_ways, require_first_strokes
 from scuhand_bt.specs import ContainerKind
 
 
@@ -23,13 +23,15 @@ def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPl
     """The motion planner with all ways between the plan's places planned and polished.
 
     `for_real`: also those past each container, and all others that the plan will take (`run/ways.py`). A dry run
-    plans them when they are needed.
+    plans them when they are needed; what lies in no mortar so that a scoop brings any is refused for it, too.
+    SkillFailed arm.* for what is not possible.
     """
     motion = motion_of(plan, lab)
     if for_real:
         prepare_ways(motion, plan, lab.cell, container_kinds(plan))
         motion.patience_s = LIVE_S  # from now on an arm waits
     else:
+        require_first_strokes(plan, lab.cell)
         motion.prepare()
     motion.keep_plans()
     return motion

@@ -55,9 +55,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
     MortarStandsBadly says where mortars might stand instead, all that stand badly: what is proposed has all the ways.
     No place helps where MortarCannotBeScooped is raised.
     """
-    scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
-    for demand in scooped:
-        require_first(cell, demand)
+    scooped = require_first_strokes(plan, cell)
     try:
         _ways(motion, plan, cell, kinds, scooped)
     except MortarCannotBeScooped:
@@ -74,6 +72,14 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
         where = _Elsewhere(motion, plan, cell, kinds, scooped, badly).said()
         why = "; ".join(lack.detail for lack in whys)
         raise MortarStandsBadly(whys[0].code, f"{why}. {where}", badly[0].source.station) from None
+
+
+def require_first_strokes(plan: Plan, cell: CellSpec) -> list[Demand]:
+    """What a plan scoops; MortarCannotBeScooped for what brings too little at a time."""
+    scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
+    for demand in scooped:
+        require_first(cell, demand)
+    return scooped
 
 
 def _require_strokes(cell: CellSpec, scooped: Sequence[Demand]) -> None:

@@ -116,7 +116,8 @@ class Odds:
     """By source."""
     used_mg: Mapping[str, Range]
     leftovers_mg: Mapping[str, Mapping[str, Range]]
-    """By source and by what became of it, the same for each, the powder that was left in the cone after doses."""
+    """By source and by what became of it, the same for each, the powder that was left in the cone after doses: what
+    these trials had, as how often any is left is no figure that lies evenly about another."""
     codes: Mapping[str, float]
     """How many samples of a run fail with a code, on average; the most frequent first."""
     verdicts: Mapping[str, float]
@@ -143,6 +144,12 @@ class Odds:
     def tells_intervals(self) -> bool:
         """Whether the ranges are where `COVERED` of runs are to be expected, not only what so few trials had."""
         return self.trials >= FEWEST
+
+    @property
+    def left(self) -> list[str]:
+        """What became of powder that was left in the cone, where any did."""
+        by_source = self.leftovers_mg.values()
+        return [kind for kind in next(iter(by_source), {}) if any(mg[kind].high > 0.0 for mg in by_source)]
 
     @property
     def not_good(self) -> dict[str, float]:
@@ -191,7 +198,7 @@ def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> O
         used_mg={name: _of_masses([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},
         leftovers_mg={
             name: {
-                kind: _of_masses([trial.leftovers_mg[name].get(kind, 0.0) for trial in found])
+                kind: _seen([trial.leftovers_mg[name].get(kind, 0.0) for trial in found])
                 for kind in (*LEFTOVERS, *vessels)
             }
             for name in plan.recipe.sources
