@@ -3,11 +3,9 @@
 It is made in a process of its own (`study/dry_run.py`), so that nothing here needs the robot's libraries.
 """
 
-import gc
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import KW_ONLY, dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import TypeAlias
 
@@ -86,24 +84,9 @@ Task: TypeAlias = tuple[Setup, int]
 
 def trial(setup: Setup, seed: int) -> Trial:
     """One dry run. SourceError for a recipe, a lab or changes that are wrong."""
-    return _dry_run()(setup, seed)
+    from scuhand_bt.study.dry_run import dry_run
 
-
-@cache
-def _dry_run() -> Callable[[Setup, int], Trial]:
-    """Imported at a process's first trial. What is there by then stays: it is not looked through for garbage, neither
-    meanwhile, which takes a fifth of that time, nor ever after.
-    """
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        from scuhand_bt.study.dry_run import dry_run
-
-        gc.freeze()
-    finally:
-        if was_on:
-            gc.enable()
-    return dry_run
+    return dry_run(setup, seed)
 
 
 def trials(tasks: Iterable[Task], executor: Executor) -> Iterator[tuple[Task, Trial]]:
