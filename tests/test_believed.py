@@ -56,6 +56,7 @@ names = st.sampled_from(list(SOURCES))
 VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "source_holds": st.builds(lambda n, m: lambda b: b.source_holds(n, m), names, masses_mg),
     "scoops_bring": st.builds(lambda n, share: lambda b: b.scoops_bring(n, share), names, st.floats(-1.0, 3.0)),
+    "scoops_forgotten": st.builds(lambda n: lambda b: b.scoops_forgotten(n), names),
     "cone_holds": st.builds(lambda s, m: lambda b: b.cone_holds(s, m), sources, masses_mg),
     "vessel_holds": st.builds(lambda lot, m: lambda b: b.vessel_holds("jar", lot, m), st.none() | lots, masses_mg),
     "let_into": st.builds(lambda s, m: lambda b: b.let_into("jar", s, m), sources, masses_mg),

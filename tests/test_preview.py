@@ -60,7 +60,7 @@ def test_the_page_says_how_much_powder_is_used_and_when_a_person_is_needed(made:
     plan, odds, page = made
     tables = Tables(page)
     columns = "source, powder, station, samples, scoops, needed with losses, used, "
-    columns += "left, returned, amount"  # none is kept, and none discarded: that needs no column
+    columns += "left, kept, left, returned, amount"  # none is discarded: that needs no column
     for row, demand in zip(tables.found[columns][1:], plan.demands, strict=True):
         name = demand.source.name
         assert (row[0], row[4]) == (name, f"{odds.scoops[name].middle:.0f}")
