@@ -55,6 +55,7 @@ AROUND_EDGE = 37
 EVENED_MM = 8.0
 """The lip's way over which a change of the attack is spread, before and behind."""
 ROUNDING_MM = 1e-6
+"""What is reckoned for many apexes at once may differ by this from what it is for one: that one is looked at."""
 SLACK_MM = 0.05
 """The sheet beside the lip may be so much nearer to the wall than the lip itself."""
 
