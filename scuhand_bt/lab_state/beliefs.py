@@ -4,8 +4,9 @@
 Rows are only ever added; the last one of a name counts, the others are its history; one without a value says that
 what was known is forgotten. What is known of a balance belongs to its `Cell.balance_name`, and what doses have taught
 of it is believed for `BALANCE_BELIEVED_FOR`; what a lot's scoops bring belongs to that lot in one kind of mortar, and
-is believed for `YIELD_BELIEVED_FOR`. What was learnt from simulated devices is kept apart, and never read by a run: a
-real run must not believe a simulation, and a dry run of one seed must not depend on the runs before it.
+is believed for `YIELD_BELIEVED_FOR`; how a lot flows is a first guess again after `FLOW_BELIEVED_FOR`. What was learnt
+from simulated devices is kept apart, and never read by a run: a real run must not believe a simulation, and a dry run
+of one seed must not depend on the runs before it.
 """
 
 import math
@@ -32,6 +33,9 @@ BALANCE_BELIEVED_FOR = timedelta(days=7)
 
 YIELD_BELIEVED_FOR = timedelta(days=30)
 """Powder takes up water, and sheets wear: what is older than this is learnt anew, by a run's first load."""
+
+FLOW_BELIEVED_FOR = timedelta(days=180)
+"""What is older may have caked or dried: the next dose goes by it as by a first guess."""
 
 B = TypeVar("B", PowderBelief, BalanceBelief)
 
@@ -167,7 +171,10 @@ class LabState:
         Of powders and of what scoops bring, what the run has seen itself counts more, also where it was killed before
         it could keep that; but for what was forgotten, and of powders learnt, `since` it broke off (ISO 8601).
         """
-        by_now = {name: learnt.belief for name, learnt in self.powders(simulated=False).items()}
+        by_now = {
+            name: learnt.belief.model_copy(update={"doses": 0} if learnt.is_older_than(FLOW_BELIEVED_FOR, now) else {})
+            for name, learnt in self.powders(simulated=False).items()
+        }
         if since:
             is_later = _later_than(since)
             anew = {name for name, (_, _, at, _) in self._written("powder", simulated=False).items() if is_later(at)}
