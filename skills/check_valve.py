@@ -28,6 +28,7 @@ class CheckValve(Skill[Millimetres]):
 
     def run(self, cell: Cell) -> Steps[Millimetres]:
         yield from cell.move_to(cell.spec.station_of_kind("waste").name)
+        yield from cell.right_of_way.go(shaking=True)
         yield from cell.hand.pulse(self.opening_mm, self.dwell_s, vibration=1.0)
         zero_mm = cell.hand.opening_mm
         cell.record.event(ValveChecked(opening_mm=zero_mm))

@@ -14,7 +14,10 @@ LEAST = 3
 
 
 class WatchBalance(Skill[Milligrams]):
-    """Read the balance for a while, with nothing changing on its pan; gives how far its readings went apart."""
+    """Read the balance for a while, with nothing changing on its pan; gives how far its readings went apart.
+
+    Arm, hand and changer stand still meanwhile; what moves all the same lets it begin again.
+    """
 
     raises = (Code.BALANCE_UNSTABLE,)
     devices = ("balance",)
@@ -28,12 +31,7 @@ class WatchBalance(Skill[Milligrams]):
         return Forecast(inputs.get("duration", 20.0))
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
-        yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
-        end_s = cell.clock.now_s + self.duration_s
-        curve: list[tuple[float, float]] = []
-        while len(curve) < LEAST or cell.clock.now_s < end_s:
-            reading = yield from cell.balance.next_reading()
-            curve.append((reading.time_s, reading.value_mg))
+        curve = yield from cell.right_of_way.in_stillness(lambda: self._watch(cell))
         values_mg = [value_mg for _, value_mg in curve]
         span_mg = max(values_mg) - min(values_mg)
         noise_mg, drift = noise_and_drift(curve)
@@ -45,3 +43,13 @@ class WatchBalance(Skill[Milligrams]):
                 f"its readings went {span_mg:.1f} mg apart in {self.duration_s:g} s, and may {self.limit_mg:g} mg",
             )
         return span_mg
+
+    def _watch(self, cell: Cell) -> Steps[list[tuple[float, float]]]:
+        """When the balance showed what, once it had come to rest."""
+        yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
+        end_s = cell.clock.now_s + self.duration_s
+        curve: list[tuple[float, float]] = []
+        while len(curve) < LEAST or cell.clock.now_s < end_s:
+            reading = yield from cell.balance.next_reading()
+            curve.append((reading.time_s, reading.value_mg))
+        return curve

@@ -590,19 +590,30 @@ def test_a_run_that_was_begun_goes_on_whatever_its_balance(
     assert "a check weight is asked for" in session.warnings[0]
 
 
-def test_a_resumed_real_run_believes_what_the_lab_does_by_now(
-    tmp_path: Path, plan_of: Callable[..., tuple[Plan, Lab]], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("wrote", ["nothing", "before", "since", "forgotten"])
+def test_a_resumed_real_run_believes_what_its_doses_taught_of_powders_but_for_what_the_lab_wrote_since(
+    tmp_path: Path, plan_of: Callable[..., tuple[Plan, Lab]], monkeypatch: pytest.MonkeyPatch, wrote: str
 ) -> None:
-    ran = dry_run(tmp_path, RECIPE, stop_at=500, controller="adaptive")
-    assert (ran.result.is_complete, ran.session.cell.balance_belief.fits > 0) == (False, True)
-    assert any(belief.doses for belief in ran.session.cell.powder_beliefs.values())
+    """What a run had learnt before it was killed was learnt anew, as it is kept at a run's end."""
+    ran, state = dry_run(tmp_path, RECIPE, stop_at=500, controller="adaptive"), LabState(tmp_path)
+    learnt = ran.session.cell.powder_beliefs["glass_beads"]
+    assert (ran.result.is_complete, ran.session.cell.balance_belief.fits > 0, learnt.doses) == (False, True, 1)
+    other = learnt.model_copy(update={"coefficient": 50.0})
+    if wrote != "nothing":
+        taught: dict[str, Any] = {"powder_beliefs": {"glass_beads": other}, "balance_belief": BalanceBelief()}
+        with monkeypatch.context() as then:
+            if wrote == "before":
+                then.setattr("scuhand_bt.lab_state.beliefs.wall_time", lambda: "2026-01-01T00:00:00+00:00")
+            state.keep(replace(ran.session.cell, simulated=False, **taught), "another")
+    if wrote == "forgotten":
+        state.forget_powders("glass_beads")
     monkeypatch.setattr("scuhand_bt.run.session.set_up", taken_for_real)
     plan, lab = plan_of()
     found = resumable(ran.journal, checked_history(ran.journal), plan, lab, accept_changes=True)
     session = Session(plan, lab, Options(None, "paper", tmp_path / "runs"), shared_planner(plan, lab), resumes=found)
     session.close()
-    assert session.cell.balance_belief == BalanceBelief(), "nothing was learnt on real devices, or it was forgotten"
-    assert session.cell.powder_beliefs == {}
+    assert session.cell.balance_belief == BalanceBelief(), "nothing was learnt of it on real devices, or forgotten"
+    assert session.cell.powder_beliefs.get("glass_beads") == {"since": other, "forgotten": None}.get(wrote, learnt)
 
 
 @pytest.mark.parametrize(("is_forgotten", "believes"), [(True, {}), (False, {"beads": 0.6})])

@@ -7,6 +7,8 @@ from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from conftest import Call, LabFolder
@@ -272,6 +274,21 @@ def test_a_run_of_another_version_is_resumed_with_what_can_be_read_of_its_belief
     take_up(fresh, state)
     assert fresh.believed == cell.believed
     assert (fresh.powder_beliefs, fresh.balance_belief) == ({}, BalanceBelief())
+
+
+@pytest.mark.parametrize(("days", "is_known"), [(179.9, True), (180.1, False)])
+def test_how_a_lot_flowed_half_a_year_ago_is_a_first_guess_again(
+    command: Call, lab_folder: LabFolder, days: float, is_known: bool
+) -> None:
+    belief, at = PowderBelief(coefficient=61.3, doses=17), datetime.now().astimezone() - timedelta(days=days)
+    with writing_lab_db(lab_folder.folder / ".scuhand") as database:
+        learnt = "INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES ('powder', ?, 0, 'r', ?, ?)"
+        database.execute(learnt, ("glass_beads/L7", at.isoformat(), belief.model_dump_json()))
+    cell: Any = SimpleNamespace(sources={}, balance_name="", powder_beliefs={})
+    LabState(lab_folder.folder / ".scuhand").recall(cell, datetime.now().astimezone())
+    assert cell.powder_beliefs == {"glass_beads/L7": belief.model_copy(update={} if is_known else {"doses": 0})}
+    told = command("powders", "--lab", lab_folder.folder).stdout
+    assert ("more than 180 days ago: a first guess again" in told) == (not is_known)
 
 
 @pytest.mark.parametrize(("days", "is_known"), [(29.9, True), (30.1, False)])

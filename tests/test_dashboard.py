@@ -115,7 +115,7 @@ def test_within_a_dose_a_replay_shows_its_course_until_then_and_no_further(finis
     assert scoops == ["done", "skipped"], "beside the container's change, and before the dose"
     failed = next(node for node in told["tree"] if node["name"] == "cone_holds")
     assert (failed["state"], failed["why"][:15]) == ("failed", "hand.cone_empty")
-    assert told["dose"] == {"target_mg": 20.0, "tolerance_mg": 2.0}
+    assert told["dose"] == {"target_mg": 20.0, "tolerance_mg": 2.0, "words": "20.0 mg ± 2 mg"}
 
 
 def test_what_the_balance_shows_is_on_the_page_at_any_time(journal: Any) -> None:

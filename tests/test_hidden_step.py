@@ -193,6 +193,7 @@ def test_a_zero_that_falls_behind_a_filter_that_rings_is_told(filtered: Filter, 
 def test_doses_on_a_balance_that_rings_are_good(tmp_path: Path) -> None:
     falsifier, tally = Falsifier(tmp_path, ("short",)), Tally("ringing")
     ringing = next(world for world in WORLDS if world.name == "ringing")
-    falsifier.run_once(ringing, "short", 70002, tally)
+    for seed in range(70002, 70007):
+        falsifier.run_once(ringing, "short", seed, tally)
     assert tally.false_goods == []
-    assert tally.good >= tally.doses - 1
+    assert tally.good >= 0.9 * tally.doses, "one in thirty is taken for a step of the zero"

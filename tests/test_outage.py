@@ -274,6 +274,20 @@ def test_an_arm_that_sank_with_its_cone_in_a_mortar_goes_out_of_what_it_touches_
     assert f"overlap by {overlap_mm} mm" in freed["what"]
 
 
+def test_an_arm_that_sank_into_the_container_does_not_go_back_into_it_once_that_is_weighed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The run ended with arm.no_path, as the container was in the way there."""
+    sink = SimulatedArm.sink
+    monkeypatch.setattr(SimulatedArm, "sink", lambda arm, by_rad: sink(arm, SAG_RAD))
+    into = "workflow: fill_crucible, container: alumina_crucible"
+    run = CutRun(tmp_path, "outage.arm_limp", ONE.replace("mass:", f"{into}, mass:"))
+    run.cut("dispense", 60)
+    assert run.resume() == 0
+    assert good(run.sample())
+    assert "alumina_crucible" in run.told("arm_freed")[0]["what"]
+
+
 def test_a_rehearsal_refuses_outages_which_its_twins_do_not_have(tmp_path: Path) -> None:
     run = CutRun(tmp_path, "outage.zero_moved")
     options = Options(Rehearsal(faults=run.batch.faults), folder=tmp_path)

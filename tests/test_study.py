@@ -13,7 +13,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from dose_bench import shipped_powders
 
-import scuhand_bt
+import scuhand_bt.study
 from scuhand_bt.cli.study import tell_dominant, tell_odds
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab, load_lab
@@ -121,6 +121,33 @@ def test_a_study_that_broke_off_goes_on_and_one_of_other_files_begins_anew(setup
     with open_store(kept, setup) as store:
         dict(all_trials([(setup, 0)], inline, store))
     assert inline.ran == 6
+
+
+def test_a_plan_tries_what_it_has_not_tried_of_these_files(
+    setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inline = Inline(lambda _, seed: fake(seed, 600.0 + seed, "abc"))
+    monkeypatch.setattr(scuhand_bt.study, "executor_of", lambda *_: nullcontext(inline), raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+
+    def plan(trials: int) -> tuple[int, object]:
+        """How many dry runs it took, and what they came to."""
+        before, ended = inline.ran, command("plan", setup.recipe, "--lab", setup.lab, "--trials", trials, "--json")
+        assert ended.returncode == 0, ended.stderr
+        return inline.ran - before, json.loads(ended.stdout)["odds"]
+
+    (first, odds), again, more = plan(3), plan(3), plan(5)
+    assert (first, again, more[0]) == (3, (0, odds), 2)
+    powders = setup.lab / "robot" / "powders.yaml"
+    powders.write_text(f"{powders.read_text(encoding='utf-8')}\n# another word\n", encoding="utf-8")
+    assert plan(3) == (3, odds)
+    kept = list((tmp_path / "caches" / "scuhand_bt" / "trials").iterdir())
+    assert len(kept) == 1, "what was tried of other files is not tried again"
+    kept[0].write_text("this is no database")
+    assert (plan(3), plan(3)) == ((3, odds), (3, odds))
+    (tmp_path / "a file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a file"))
+    assert plan(3) == (3, odds)
 
 
 @pytest.mark.parametrize("file", ["recipes/two.yaml", "recipes/rows.csv", "robot/powders.yaml"])

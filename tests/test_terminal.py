@@ -89,7 +89,7 @@ def seen(ran: Ran, **more: Any) -> Shown:
     results = [ran.result.samples[0], failed] * 20
     values = {
         "recipe": "five", "mode": "SIMULATED", "total": 60, "results": results, "run_time_s": 754.0, "left_s": 130.0,
-        "job": "c, attempt 2: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder", "tree": TREE,
+        "job": "c, attempt 2: 30.0 mg ± 2 mg of glass_beads into xrd_holder", "tree": TREE,
         "readings": "balance 9.2451 g, stable", "keys": "Ctrl-Z pauses",
     }  # fmt: skip
     return Shown(**{**values, **more})
@@ -103,7 +103,7 @@ def test_the_question_its_answers_and_the_last_verdict_stay_in_every_size(ran: R
     text = unwrapped(lines)
     assert "SIMULATED: five" in lines[0]
     assert "40/60 samples, 20 good; 12 min 34 s of run time, about 2 min 10 s left" in lines[1]
-    assert "c, attempt 2: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in lines[2]
+    assert "c, attempt 2: 30.0 mg ± 2 mg of glass_beads into xrd_holder" in lines[2]
     assert f"? {LONG} (waits for 2 min 0" in text
     for answer in ("done", "stop"):
         assert f"{answer}: {MEANINGS[answer]}" in text
@@ -138,11 +138,11 @@ def test_a_mass_is_not_told_of_all_the_powders_of_a_sample(tmp_path: Path) -> No
     session = dry_run(tmp_path, f"recipe: two\nsamples:\n{samples}{TWO_SOURCES}", controller=None).session
     view = LiveView(Console(file=io.StringIO()), session.cell, session.plan, Control(), "SIMULATED")
     view.attempt_started(session.plan.jobs[0], 1)
-    assert view.shown().job == "mix: 80.0 mg ± 2.0 mg into alumina_crucible"
+    assert view.shown().job == "mix: 80.0 mg ± 2 mg into alumina_crucible"
 
 
 def test_masses_side_by_side_are_told_each_with_its_powder(tmp_path: Path) -> None:
-    asked = "masses: [80 mg, 40 mg], tolerances: [3 mg, 4 mg], first: beads, sources: [beads, msg]"
+    asked = "masses: [80 mg, 40 mg], tolerances: [3 mg, 0.65 mg], first: beads, sources: [beads, msg]"
     path = tmp_path / "two.yaml"
     samples = f"samples: [{{id: mix, container: alumina_crucible, {asked}}}]\n"
     path.write_text(f"recipe: two\nworkflow: weigh_in\n{samples}{TWO_SOURCES}", encoding="utf-8")
@@ -151,7 +151,7 @@ def test_masses_side_by_side_are_told_each_with_its_powder(tmp_path: Path) -> No
     cell = SimpleNamespace(clock=VirtualClock(), balance=off, believed=off, hand=off)
     view = LiveView(Console(file=io.StringIO()), cell, plan, Control(), "SIMULATED")  # type: ignore[arg-type]
     view.attempt_started(plan.jobs[0], 1)
-    both = "80.0 mg ± 3.0 mg of glass_beads + 40.0 mg ± 4.0 mg of monosodium_glutamate"
+    both = "80.0 mg ± 3 mg of glass_beads + 40.0 mg ± 0.65 mg of monosodium_glutamate"
     assert view.shown().job == f"mix: {both} into alumina_crucible"
 
 
@@ -377,7 +377,7 @@ def test_who_watches_sees_what_is_under_way_and_what_waits(tmp_path: Path, ran: 
     now.look()
     assert now.begun is not None
     shown = shown_of(now, now.begun)
-    assert shown.job == "a, attempt 2: 30.0 mg ± 2.0 mg of glass_beads into a (xrd_holder)"
+    assert shown.job == "a, attempt 2: 30.0 mg ± 2 mg of glass_beads into a (xrd_holder)"
     assert [(node.name, node.state) for node in shown.tree] == [("ask", "running")]
     assert (shown.question and shown.question.text, shown.keys) == ("Is it?", "scuhand-bt answer r")
     journal.event(Paused())
@@ -539,7 +539,7 @@ def test_a_run_that_goes_on_shows_what_it_does_and_why_in_every_size(tmp_path: P
             terminal.resize(size)
             running = terminal.shows(f"a-{number}: 30.0 mg", "▶ dispense", "Ctrl-C stops now")
             assert "SIMULATED: shown" in running
-            assert f"a-{number}: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in running
+            assert f"a-{number}: 30.0 mg ± 2 mg of glass_beads into xrd_holder" in running
             assert "✓ move_over ▶ dispense · return_leftover · park" in running
             assert "g, stable" in running or "g, moving" in running
             assert "valve " in running
@@ -552,7 +552,7 @@ def test_a_run_that_goes_on_shows_what_it_does_and_why_in_every_size(tmp_path: P
 def test_a_run_is_watched_answered_paused_and_ended_in_a_terminal_of_every_size(tmp_path: Path) -> None:
     with terminal_of(tmp_path, IN_TMUX, "--ask") as terminal:
         waits = ("? Is the shield shut?", f"done: {MEANINGS['done']}", "> ▏", "SIMULATED: shown", "▶ ask_operator")
-        terminal.shows_in_every_size(*waits, "a: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder")
+        terminal.shows_in_every_size(*waits, "a: 30.0 mg ± 2 mg of glass_beads into xrd_holder")
         terminal.keys("dobe", "BSpace", "BSpace", "ne", "Enter")
         terminal.shows_in_every_size("b: 40.0 mg", "last: a: ", "? Is the shield shut?")
         terminal.keys("C-z")

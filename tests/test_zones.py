@@ -316,15 +316,37 @@ def test_an_exchange_by_hand_that_came_to_its_end_tells_that_nobody_reaches_in_a
     assert list(bench.way.go()) == [], "nobody is asked"
 
 
-def test_a_cone_is_not_shaken_until_the_next_container_is_weighed(starter: Lab, bench: Bench) -> None:
-    shake = starter.library.skills["shake"](duration_s=1.0)
-    changing, shaking = bench.way.unshaken(bench.later(5.0, lambda: None)), shake.run(bench.cell)
-    next(changing)
-    next(shaking)
-    assert bench.cell.hand.is_stopped
-    bench.do(changing)
-    bench.do(shaking)
-    assert bench.clock.now_s == pytest.approx(6.0)
+@pytest.mark.parametrize("name", ["shake", "check_valve"])
+def test_a_cone_is_not_shaken_until_the_next_container_is_weighed(starter: Lab, bench: Bench, name: str) -> None:
+    shaken_s: list[float] = []
+
+    def look() -> Steps[None]:
+        while not bench.cell.hand.vibration:
+            yield from bench.later(0.1, lambda: None)
+        shaken_s.append(bench.clock.now_s)
+
+    changing = bench.way.unshaken(bench.later(15.0, lambda: None))
+    bench.do(changing, starter.library.skills[name]().run(bench.cell), look())
+    assert shaken_s[0] >= 15.0
+
+
+def test_while_the_balance_is_watched_all_else_stands_still(starter: Lab, bench: Bench) -> None:
+    """Beside a `shake` or the arm, `watch_balance` told what those had done of the balance."""
+    watch, shake = starter.library.skills["watch_balance"](limit_mg=1e9), starter.library.skills["shake"]()
+    holder = Container(id="h", **dict(starter.library.containers["xrd_holder"]))
+
+    def move() -> Steps[None]:
+        yield from bench.later(2.0, lambda: None)
+        yield from bench.cell.move_to("waste")
+        yield from shake.run(bench.cell)
+
+    def bring() -> Steps[None]:
+        yield from bench.later(5.0, lambda: None)
+        yield from bench.cell.changer.bring(holder)  # as a skill of a lab's own may, that leases the changer alone
+
+    for beside in (move(), bring()):
+        span_mg = bench.do(watch.run(bench.cell), beside)[0]
+        assert span_mg < 1.0
 
 
 def test_what_is_moved_all_the_same_in_a_weighing_lets_it_begin_again(bench: Bench) -> None:

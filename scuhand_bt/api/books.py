@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 from scuhand_bt.fronts import front
 
 if TYPE_CHECKING:
-    from scuhand_bt.lab_state.beliefs import BALANCE_BELIEVED_FOR, YIELD_BELIEVED_FOR, LabState, LearntYield, Taught
+    from scuhand_bt.lab_state.beliefs import (
+        BALANCE_BELIEVED_FOR,
+        FLOW_BELIEVED_FOR,
+        YIELD_BELIEVED_FOR,
+        LabState,
+        LearntYield,
+        Taught,
+    )
     from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry, StockKind
     from scuhand_bt.lab_state.lab_db import user_name
     from scuhand_bt.lab_state.ledger import KEY_VARIABLE, Ledger, LedgerFound
@@ -21,7 +28,9 @@ else:
     __getattr__, __dir__ = front(
         __name__,
         {
-            "lab_state.beliefs": "BALANCE_BELIEVED_FOR YIELD_BELIEVED_FOR LabState LearntYield Taught",
+            "lab_state.beliefs": (
+                "BALANCE_BELIEVED_FOR FLOW_BELIEVED_FOR YIELD_BELIEVED_FOR LabState LearntYield Taught"
+            ),
             "lab_state.inventory": "Inventory Stock StockEntry StockKind",
             "lab_state.lab_db": "user_name",
             "lab_state.ledger": "KEY_VARIABLE Ledger LedgerFound",
@@ -34,6 +43,7 @@ else:
 
 __all__ = [
     "BALANCE_BELIEVED_FOR",
+    "FLOW_BELIEVED_FOR",
     "KEY_VARIABLE",
     "NEEDED",
     "YIELD_BELIEVED_FOR",

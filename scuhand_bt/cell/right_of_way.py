@@ -10,7 +10,7 @@ what it shows. So does a person who reaches into the cell. Motions that are unde
 other begins. While the pan only comes to rest from what came or went they go on: none of that is weighed.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
@@ -189,22 +189,30 @@ class RightOfWay:
         rest; and as the balance's own, after `timeout_s` at least.
         """
         timeout_s = max(timeout_s, self._cell.spec.balance.settles_s)
+        mean = yield from self.in_stillness(lambda: self._cell.balance.stable_mean(timeout_s))
+        self._cell.weighed = mean
+        return mean
+
+    def in_stillness(self, begun: Callable[[], Steps[T]]) -> Steps[T]:
+        """Carry out what reads the balance while all else stands still; what is disturbed all the same begins again.
+
+        SkillFailed balance.unstable where they do not come to rest.
+        """
         yield from self._settled()
         with self._hushed():
             while True:
                 yield from self._stillness()
-                weighing = self._cell.balance.stable_mean(timeout_s)
+                steps = begun()
                 try:
                     while self._is_still:
                         try:
-                            wake = next(weighing)
+                            wake = next(steps)
                         except StopIteration as over:
-                            mean: StableMean = over.value
-                            self._cell.weighed = mean
-                            return mean
+                            result: T = over.value
+                            return result
                         yield wake
                 finally:
-                    weighing.close()
+                    steps.close()
 
     def _settled(self) -> Steps[None]:
         """Wait until the pan has come to rest, where somebody has the arm: it goes on meanwhile."""

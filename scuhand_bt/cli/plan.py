@@ -165,12 +165,12 @@ def _night_values(made: "Plan", odds: "Odds", hours: "Night") -> dict[str, Any]:
 
 def _trials(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Iterator[Trial]":
     """By the first seeds, as they end, in the background and in the plan's order; what fails there says so itself."""
-    from scuhand_bt.study import Setup, all_trials, executor_of, files_hash
+    from scuhand_bt.study import Setup, all_trials, executor_of, files_hash, last_tried
 
     recipe, folder = made.recipe.path.absolute(), loaded.folder.absolute()
     setup = Setup(recipe, folder, order=made.recipe.order, files=files_hash(recipe, folder))
-    with executor_of(workers, None) as executor:
-        going = all_trials([(setup, seed) for seed in range(trials)], executor)
+    with last_tried(setup) as kept, executor_of(workers, None) as executor:
+        going = all_trials([(setup, seed) for seed in range(trials)], executor, kept)
         for _, one in as_they_end(going, trials):
             yield one
 

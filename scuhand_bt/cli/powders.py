@@ -51,6 +51,8 @@ def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = F
         brought = [{"lot": lot, "mortar": mortar, "share": one.share, **_taught(one)} for (lot, mortar), one in scoops]
         print_json({"beliefs": beliefs, "scoops": brought})
         return
+    from scuhand_bt.api.books import FLOW_BELIEVED_FOR
+
     table = Listing("powder lot", *FIGURES, "by")
     for name, powder in loaded.library.powders.items():
         table.add_row(Text(name), *_belief_cells(powder.belief), "first guess", style="dim")
@@ -60,7 +62,9 @@ def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = F
     if learnt:
         origins = Listing("powder lot", "learnt", "at")
         for name, one in learnt:
-            origins.add_row(Text(name), Text(one.origin), one.at)
+            is_old = one.is_older_than(FLOW_BELIEVED_FOR, datetime.now().astimezone())
+            old = f", more than {FLOW_BELIEVED_FOR.days} days ago: a first guess again" if is_old else ""
+            origins.add_row(Text(name), Text(one.origin), f"{one.at}{old}")
         out.print("", origins, sep="\n")
     if scoops:
         out.print("", _scoops(scoops), sep="\n")

@@ -131,13 +131,15 @@ def _question(now: Follower, since: str) -> dict[str, Any] | None:
     return {"text": asked.question, "since": since, "choices": choices}
 
 
-def _dose(run: RunBegun, job: JobStarted | None) -> dict[str, float] | None:
-    """What the job's sample is to hold."""
+def _dose(run: RunBegun, job: JobStarted | None) -> dict[str, Any] | None:
+    """What the job's sample is to hold, also in words."""
     inputs = inputs_of(run, job.sample) if job is not None else {}
     mass, tolerance = inputs.get("mass"), inputs.get("tolerance")
     if not isinstance(mass, float | int):
         return None
-    return {"target_mg": mass, "tolerance_mg": tolerance if isinstance(tolerance, float | int) else 0.0}
+    within_mg = tolerance if isinstance(tolerance, float | int) else 0.0
+    words = " + ".join(asked for asked, _ in asked_of(inputs))
+    return {"target_mg": mass, "tolerance_mg": within_mg, "words": words}
 
 
 def _holds(run: RunBegun, believed: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

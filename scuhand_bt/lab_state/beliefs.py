@@ -4,12 +4,13 @@
 Rows are only ever added; the last one of a name counts, the others are its history; one without a value says that
 what was known is forgotten. What is known of a balance belongs to its `Cell.balance_name`, and what doses have taught
 of it is believed for `BALANCE_BELIEVED_FOR`; what a lot's scoops bring belongs to that lot in one kind of mortar, and
-is believed for `YIELD_BELIEVED_FOR`. What was learnt from simulated devices is kept apart, and never read by a run: a
-real run must not believe a simulation, and a dry run of one seed must not depend on the runs before it.
+is believed for `YIELD_BELIEVED_FOR`; how a lot flows is a first guess again after `FLOW_BELIEVED_FOR`. What was learnt
+from simulated devices is kept apart, and never read by a run: a real run must not believe a simulation, and a dry run
+of one seed must not depend on the runs before it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -32,6 +33,9 @@ BALANCE_BELIEVED_FOR = timedelta(days=7)
 
 YIELD_BELIEVED_FOR = timedelta(days=30)
 """Powder takes up water, and sheets wear: what is older than this is learnt anew, by a run's first load."""
+
+FLOW_BELIEVED_FOR = timedelta(days=180)
+"""What is older may have caked or dried: the next dose goes by it as by a first guess."""
 
 B = TypeVar("B", PowderBelief, BalanceBelief)
 
@@ -164,10 +168,18 @@ class LabState:
     def recall(self, cell: Cell, now: datetime, since: str = "") -> None:
         """Give a real cell what was learnt on real devices, and let it believe nothing else of powders and balance.
 
-        Of what scoops bring, what the run has seen itself counts more, but for what was forgotten `since` it broke off
-        (ISO 8601).
+        Of powders and of what scoops bring, what the run has seen itself counts more, also where it was killed before
+        it could keep that; but for what was forgotten, and of powders learnt, `since` it broke off (ISO 8601).
         """
-        cell.powder_beliefs = {name: learnt.belief for name, learnt in self.powders(simulated=False).items()}
+        by_now = {
+            name: learnt.belief.model_copy(update={"doses": 0} if learnt.is_older_than(FLOW_BELIEVED_FOR, now) else {})
+            for name, learnt in self.powders(simulated=False).items()
+        }
+        if since:
+            is_later = _later_than(since)
+            anew = {name for name, (_, _, at, _) in self._written("powder", simulated=False).items() if is_later(at)}
+            by_now |= {name: belief for name, belief in cell.powder_beliefs.items() if name not in anew}
+        cell.powder_beliefs = by_now
         balance = self.balances(simulated=False).get(cell.balance_name)
         is_known = balance is not None and not balance.is_older_than(BALANCE_BELIEVED_FOR, now)
         cell.balance_belief = balance.belief if balance is not None and is_known else BalanceBelief()
@@ -277,12 +289,9 @@ class LabState:
 
     def _forgotten_yields(self, since: str) -> frozenset[YieldOf]:
         """Those that a person has forgotten since then."""
-        moment, found = datetime.fromisoformat(since).replace(microsecond=0), set()  # as what is written here is dated
-        for of, (*_, at, share) in self._yielded(simulated=False).items():
-            with suppress(ValueError):  # of a damaged row
-                if share is None and datetime.fromisoformat(at) >= moment:
-                    found.add(of)
-        return frozenset(found)
+        is_later = _later_than(since)
+        yielded = self._yielded(simulated=False).items()
+        return frozenset(of for of, (*_, at, share) in yielded if share is None and is_later(at))
 
     def _latest(self, kind: str, model: type[B], simulated: bool) -> dict[str, Learnt[B]]:
         found = {}
@@ -292,7 +301,12 @@ class LabState:
         return found
 
     def _last(self, kind: str, simulated: bool) -> dict[str, tuple[int, str, str, str]]:
-        """By name what was written last, where it is not that it was forgotten: version, run, time and belief."""
+        """By name what was written last, where it is not that it was forgotten."""
+        written = self._written(kind, simulated)
+        return {name: last for name, last in written.items() if last[-1] != FORGOTTEN}
+
+    def _written(self, kind: str, simulated: bool) -> dict[str, tuple[int, str, str, str]]:
+        """By name what was written last: version, run, time and belief."""
         with reading_lab_db(self._folder) as database:
             if database is None:
                 return {}
@@ -300,8 +314,20 @@ class LabState:
                 "SELECT version, name, run, at, belief FROM learnt WHERE kind = ? AND simulated = ? ORDER BY version",
                 (kind, simulated),
             )
-            last = {name: (version, run, at, belief) for version, name, run, at, belief in rows}
-            return {name: written for name, written in last.items() if written[-1] != FORGOTTEN}
+            return {name: (version, run, at, belief) for version, name, run, at, belief in rows}
+
+
+def _later_than(since: str) -> Callable[[str], bool]:
+    """Whether something was written here since then; of a damaged row that is not known."""
+    moment = datetime.fromisoformat(since).replace(microsecond=0)  # as what is written here is dated
+
+    def is_later(at: str) -> bool:
+        try:
+            return datetime.fromisoformat(at) >= moment
+        except ValueError:
+            return False
+
+    return is_later
 
 
 def _yield_of(source: Source) -> YieldOf:

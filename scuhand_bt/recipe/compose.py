@@ -68,12 +68,23 @@ def takes_composed(workflow: Workflow) -> bool:
     return all(types.get(name) == wanted for name, wanted in {**TAKEN, CONTAINER: "Container"}.items())
 
 
-def check_first(workflow: Workflow, inputs: Mapping[str, Any], mark: Mark, problems: Problems) -> None:
-    """By hand, too, `first` is the first of the sources: before it no sheet is swapped, so none may come before it."""
+def check_by_hand(workflow: Workflow, inputs: Mapping[str, Any], given: Mapping[str, Node], problems: Problems) -> None:
+    """By hand, too, `first` is the first of the sources: before it no sheet is swapped, so none may come before it.
+
+    So it may not come again, either; and no other does, as a dose counts what is there of its lot.
+    """
     first, sources = inputs.get(FIRST), inputs.get("sources")
-    if takes_composed(workflow) and isinstance(first, Source) and sources and first.name != sources[0].name:
+    if not (takes_composed(workflow) and isinstance(first, Source) and sources):
+        return
+    if first.name != sources[0].name:
         what = f"'{FIRST}' is '{first.name}', and the first of 'sources' is '{sources[0].name}'"
-        problems.add(mark, what, f"{FIRST}: {sources[0].name}", code="bad-value")
+        problems.add(given[FIRST].mark, what, f"{FIRST}: {sources[0].name}", code="bad-value")
+    listed, names = given["sources"], [source.name for source in sources]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            mark = listed.items[number].mark if isinstance(listed, Items) else listed.mark
+            what = f"'{name}' stands in 'sources' already"
+            problems.add(mark, what, "once, with the mass that is to be there of it in all", code="bad-value")
 
 
 @dataclass(frozen=True)

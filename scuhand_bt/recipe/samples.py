@@ -9,7 +9,7 @@ from typing import Any
 
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
-from scuhand_bt.recipe.compose import COMPOSE, FIRST, Composer, check_first, takes_composed
+from scuhand_bt.recipe.compose import COMPOSE, Composer, check_by_hand, takes_composed
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.flows import Flows
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
@@ -168,8 +168,7 @@ class SamplesReader:
         if isinstance(inputs.get("tolerance"), Percent) and "mass" not in workflow.inputs:
             what = f"a tolerance in % is one of the mass, but the workflow '{workflow.name}' has no input 'mass'"
             self.problems.add(given["tolerance"].mark, what, code="percent-of-nothing")
-        if FIRST in given:
-            check_first(workflow, inputs, given[FIRST].mark, self.problems)
+        check_by_hand(workflow, inputs, given, self.problems)
         if composed is not None:
             inputs |= {name: value for name, value in composed.inputs.items() if name in made}
             self.marks[f"samples.{sample_id}.{COMPOSE}"] = (entry.get(COMPOSE) or defaults.values[COMPOSE]).mark

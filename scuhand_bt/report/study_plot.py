@@ -120,6 +120,8 @@ def _draw_ranks(axes: "Axes", title: str, places: Mapping[str, Mapping[str, floa
 def _bars(axes: "Axes", values: Mapping[str, float], title: str, label: str, color: str) -> None:
     axes.barh(range(len(values)), list(values.values()), height=0.6, color=color)
     axes.set(title=title, xlabel=label)
+    if not any(values.values()):
+        axes.set_xticks([0.0])  # an axis of nothing would be one of hundredths about it
     _name_lines(axes, list(values))
 
 

@@ -9,7 +9,7 @@ from scuhand_bt.journal.events import JobEnded, TreeNode
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.pace import time_left_s
 from scuhand_bt.journal.run_events import RunBegun
-from scuhand_bt.quantity import format_mass
+from scuhand_bt.quantity import format_mass, format_tolerance
 from scuhand_bt.report.picture import Asked, Node, Shown, in_grams
 from scuhand_bt.tree.grammar import COMPOSITES
 
@@ -57,7 +57,7 @@ def asked_of(inputs: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     else:
         doses = [(inputs.get("mass"), inputs.get("tolerance"), inputs.get("source"))]
     for mass_mg, tolerance_mg, source in doses:
-        within = f" ± {format_mass(tolerance_mg)}" if isinstance(tolerance_mg, float | int) else ""
+        within = f" ± {format_tolerance(tolerance_mg)} mg" if isinstance(tolerance_mg, float | int) else ""
         yield f"{format_mass(mass_mg)}{within}" if isinstance(mass_mg, float | int) else "", str(source or "")
 
 

@@ -123,7 +123,7 @@ def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[N
             counts=is_same,
         )
     )
-    if is_in_the_way:
+    if is_in_the_way and not cell.arm.was_limp:  # into what it had sunk it does not go back; what goes on brings it
         yield from cell.move_to(stood)
 
 

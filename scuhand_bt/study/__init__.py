@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from scuhand_bt.study.optimise import diff, optimised
     from scuhand_bt.study.pool import all_trials, executor_of
     from scuhand_bt.study.stays import stays_in_words, stopped_in_words, unforeseen, unforeseen_in_words
-    from scuhand_bt.study.store import Store, open_store
+    from scuhand_bt.study.store import Store, last_tried, open_store
     from scuhand_bt.study.table import TABLE_KINDS, write_table
     from scuhand_bt.study.trial import Setup, Task, Trial
     from scuhand_bt.study.vary import Vary, check_setups, ends_of, goes_with, means_of, read_vary
@@ -25,7 +25,7 @@ else:
             "study.optimise": "diff optimised",
             "study.pool": "all_trials executor_of",
             "study.stays": "stays_in_words stopped_in_words unforeseen unforeseen_in_words",
-            "study.store": "Store open_store",
+            "study.store": "Store last_tried open_store",
             "study.table": "TABLE_KINDS write_table",
             "study.trial": "Setup Task Trial",
             "study.vary": "Vary check_setups ends_of goes_with means_of read_vary",
@@ -55,6 +55,7 @@ __all__ = [
     "files_hash",
     "goes_with",
     "in_words",
+    "last_tried",
     "means_of",
     "odds_of",
     "open_store",

@@ -4,9 +4,11 @@ import hashlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
+
+from platformdirs import user_cache_path
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.program import source_digest
@@ -23,9 +25,7 @@ class Store:
 
     def __init__(self, database: sqlite3.Connection, setup: Setup) -> None:
         self._database = database
-        files = setup.files or files_hash(setup.recipe, setup.lab)
-        physics = setup.physics or plant_hash(setup.plant)
-        self._files = json.dumps([files, source_digest(), *([physics] if physics else [])])
+        self._files = _read_as(setup)
 
     def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
         """Those of the tasks that were tried before, with the very files and program of today."""
@@ -50,6 +50,13 @@ class Store:
         return hashlib.sha256(tried.encode()).hexdigest()
 
 
+def _read_as(setup: Setup) -> str:
+    """All that a trial depends on and that is written somewhere: files, program, physics."""
+    files = setup.files or files_hash(setup.recipe, setup.lab)
+    physics = setup.physics or plant_hash(setup.plant)
+    return json.dumps([files, source_digest(), *([physics] if physics else [])])
+
+
 @contextmanager
 def open_store(path: Path, setup: Setup) -> Iterator[Store]:
     """The store of a file, made where there is none; SourceError for one that cannot be used."""
@@ -65,6 +72,26 @@ def open_store(path: Path, setup: Setup) -> Iterator[Store]:
             yield Store(database, setup)
     except sqlite3.Error as error:
         raise _unusable(path, error) from None
+
+
+@contextmanager
+def last_tried(setup: Setup) -> Iterator[Store | None]:
+    """The trials of this recipe, as all is written now, in the user's cache: those of what was written before go.
+
+    None where there can be no such file.
+    """
+    folder = user_cache_path("scuhand_bt") / "trials"
+    of, now = (
+        hashlib.sha256(text.encode()).hexdigest()[:16] for text in (f"{setup.recipe}\0{setup.lab}", _read_as(setup))
+    )
+    path = folder / f"{of}-{now}.sqlite"
+    with ExitStack() as opened:
+        store = None
+        with suppress(SourceError, OSError):
+            store = opened.enter_context(open_store(path, setup))
+            for before in set(folder.glob(f"{of}-*.sqlite")) - {path}:
+                before.unlink()
+        yield store
 
 
 def _unusable(path: Path, why: Exception | str) -> SourceError:

@@ -102,7 +102,7 @@ function figures(told) {
   const set = (name, text) => { by(name).textContent = text; };
   set("net", point ? `${point[1].toFixed(1)} mg` : "–");
   set("estimate", point ? `${point[5].toFixed(1)} mg` : "–");
-  set("target", told.dose ? `${told.dose.target_mg} ± ${told.dose.tolerance_mg} mg` : "–");
+  set("target", told.dose ? told.dose.words : "–");
   set("opening", point ? `${point[2].toFixed(2)} mm` : "–");
   set("vibration", point ? `${Math.round(100 * point[3])} %` : "–");
 }
