@@ -23,7 +23,7 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import ContainerReweighed
 from scuhand_bt.record import Record
 from scuhand_bt.run.outage import settle_outage
-from scuhand_bt.specs import Source
+from scuhand_bt.specs import BalanceBelief, Source
 
 TAKES_S, PERIOD_S = 2.0, 0.1
 """How long one weighing takes, and one reading."""
@@ -48,6 +48,7 @@ class Shown:
                 clock=self,
                 spec=SimpleNamespace(balance=BalanceSpec(readability_mg=0.1, weighed_twice="first")),
                 balance=self,
+                balance_belief=BalanceBelief(lag_s=0.3),
                 arm=SimpleNamespace(was_limp=False),
                 device=lambda name: SimpleNamespace(is_stopped=True),
                 aside_of_pan_mm=lambda: math.inf,

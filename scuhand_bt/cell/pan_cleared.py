@@ -12,6 +12,7 @@ from scuhand_bt.cell.weighing import (
     shown_step,
     watched,
     weigh_changed,
+    weigh_left,
     weighing_of,
 )
 from scuhand_bt.clock import Steps
@@ -88,7 +89,7 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
     yield from weigh_broken_off(cell)
     bracket = believed.bracket
     if bracket is not None and bracket.holds and bracket.lifted is None:
-        lifted = yield from cell.right_of_way.stable_mean()
+        lifted = yield from weigh_left(cell)
         stood_still = stands_still(cell)
         believed.lifted(weighing_of(lifted))
         cell.record.event(ContainerLifted(**dict(lifted.written()), container=bracket.container))

@@ -47,6 +47,9 @@ DROP_S = 30.0
 QUICK_S, QUICK_READINGS, CREEPS = 8.0, 18, 0.15
 """A balance that has called itself stable so soon, or in so few readings, does not creep; a slower one does, for that
 share of the time."""
+PROMPT_S, LOOKS = 0.8, 3
+"""A balance no later than this has shown what fell as the hand left by when the arm has come to rest, or calls no
+reading stable; a later one is weighed up to so many times more."""
 HAND_S = 1.0
 """What a person takes to put a container down, besides."""
 
@@ -153,6 +156,23 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     while took_s > quick_s and mean.time_s - shown_s < 2.0 * took_s:
         last = weighing_of(mean)
         yield from pause(cell.clock, CREEPS * took_s)
+        mean = yield from cell.right_of_way.stable_mean()
+        now = weighing_of(mean)
+        if abs(now.gross_mg - last.gross_mg) <= 2.0 * apart_mg(last, now, cell.spec.balance.readability_mg):
+            break
+    return mean
+
+
+def weigh_left(cell: Cell) -> Steps[StableMean]:
+    """The gross of what the hand has left, with all that fell until then.
+
+    A balance that is late shows what was before, and calls it stable: it is weighed again once it must show what is.
+    """
+    mean, belief = (yield from cell.right_of_way.stable_mean()), cell.balance_belief
+    delay_s = 2.0 * belief.lag_s * (math.exp(belief.doubt) if belief.adapts else 1.0)
+    for _ in range(LOOKS if delay_s > PROMPT_S else 0):
+        last = weighing_of(mean)
+        yield from pause(cell.clock, delay_s)
         mean = yield from cell.right_of_way.stable_mean()
         now = weighing_of(mean)
         if abs(now.gross_mg - last.gross_mg) <= 2.0 * apart_mg(last, now, cell.spec.balance.readability_mg):
