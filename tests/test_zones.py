@@ -343,6 +343,7 @@ def test_while_the_balance_is_watched_hand_and_changer_stand_still_and_the_arm_m
         yield from bench.cell.move_to("waste")
         moved_s.append(bench.clock.now_s)
         yield from shake.run(bench.cell)
+        moved_s.append(bench.clock.now_s)
 
     def pulse() -> Steps[None]:
         yield from bench.later(5.0, lambda: None)
@@ -357,6 +358,7 @@ def test_while_the_balance_is_watched_hand_and_changer_stand_still_and_the_arm_m
         span_mg = bench.do(watch.run(bench.cell), beside)[0]
         assert span_mg < 1.0
     assert moved_s[0] - begin_s < 10.0, "within the watch of 20 s"
+    assert 20.0 < moved_s[1] - begin_s < 30.0, "which is waited for"
 
 
 def scooping_bench(
