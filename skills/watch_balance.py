@@ -16,7 +16,7 @@ LEAST = 3
 class WatchBalance(Skill[Milligrams]):
     """Read the balance for a while, with nothing changing on its pan; gives how far its readings went apart.
 
-    Arm, hand and changer stand still meanwhile; what moves all the same lets it begin again.
+    Hand and changer stand still meanwhile, else it begins again; the arm may move: whether the zero follows it is seen.
     """
 
     raises = (Code.BALANCE_UNSTABLE,)
@@ -31,7 +31,7 @@ class WatchBalance(Skill[Milligrams]):
         return Forecast(inputs.get("duration", 20.0))
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
-        curve = yield from cell.right_of_way.in_stillness(lambda: self._watch(cell))
+        curve = yield from cell.right_of_way.beside_arm(lambda: self._watch(cell))
         values_mg = [value_mg for _, value_mg in curve]
         span_mg = max(values_mg) - min(values_mg)
         noise_mg, drift = noise_and_drift(curve)

@@ -330,35 +330,35 @@ def test_a_cone_is_not_shaken_until_the_next_container_is_weighed(starter: Lab, 
     assert shaken_s[0] >= 15.0
 
 
-def test_while_the_balance_is_watched_all_else_stands_still(starter: Lab, bench: Bench) -> None:
-    """Beside a `shake` or the arm, `watch_balance` told what those had done of the balance."""
+def test_while_the_balance_is_watched_hand_and_changer_stand_still_and_the_arm_may_move(
+    starter: Lab, bench: Bench
+) -> None:
+    """Beside a `shake`, `watch_balance` told what that had done of the balance."""
     watch, shake = starter.library.skills["watch_balance"](limit_mg=1e9), starter.library.skills["shake"]()
     holder = Container(id="h", **dict(starter.library.containers["xrd_holder"]))
+    moved_s: list[float] = []
 
     def move() -> Steps[None]:
         yield from bench.later(2.0, lambda: None)
         yield from bench.cell.move_to("waste")
+        moved_s.append(bench.clock.now_s)
         yield from shake.run(bench.cell)
+        moved_s.append(bench.clock.now_s)
+
+    def pulse() -> Steps[None]:
+        yield from bench.later(5.0, lambda: None)
+        yield from bench.cell.hand.pulse(0.0, 1.0, vibration=1.0)  # as a lab's own may, which waits for nobody
 
     def bring() -> Steps[None]:
         yield from bench.later(5.0, lambda: None)
-        yield from bench.cell.changer.bring(holder)  # as a skill of a lab's own may, that leases the changer alone
+        yield from bench.cell.changer.bring(holder)
 
-    for beside in (move(), bring()):
+    begin_s = bench.clock.now_s
+    for beside in (move(), pulse(), bring()):
         span_mg = bench.do(watch.run(bench.cell), beside)[0]
         assert span_mg < 1.0
-
-
-def test_what_is_moved_all_the_same_in_a_weighing_lets_it_begin_again(bench: Bench) -> None:
-    """The hand itself waits for nobody: a lab's skill may shake it beside a weighing."""
-    shaken_s = 0.3
-
-    def shake() -> Steps[None]:
-        yield from bench.later(shaken_s, lambda: None)
-        yield from bench.cell.hand.pulse(0.0, 5.0, vibration=1.0)
-
-    mean, _ = bench.do(bench.way.stable_mean(), shake())
-    assert min(reading.time_s for reading in mean.readings) > shaken_s + 5.0
+    assert moved_s[0] - begin_s < 10.0, "within the watch of 20 s"
+    assert 20.0 < moved_s[1] - begin_s < 30.0, "which is waited for"
 
 
 def scooping_bench(

@@ -29,6 +29,8 @@ STILL_TIMEOUT_S = 120.0
 SETTLES_S = 8.0
 """So long a pan may come to rest while the arm goes on: a balance that the arm keeps from it is not waited for."""
 REACHES_IN = "An exchange by hand was broken off, and the arm is about to move. Is nobody reaching into the cell?"
+MOVING = ("arm", "hand", "changer")
+"""What a weighing needs to stand still."""
 LOOK_S = 0.1
 """So often it is looked whether what moves has come to rest."""
 
@@ -173,7 +175,7 @@ class RightOfWay:
         Where it is halted the person may be at it still: nothing moves then before somebody has said otherwise.
         """
         with self._hushed():
-            yield from self._stillness()
+            yield from self._stillness(MOVING)
             try:
                 result = yield from steps
             except GeneratorExit:
@@ -189,30 +191,34 @@ class RightOfWay:
         rest; and as the balance's own, after `timeout_s` at least.
         """
         timeout_s = max(timeout_s, self._cell.spec.balance.settles_s)
-        mean = yield from self.in_stillness(lambda: self._cell.balance.stable_mean(timeout_s))
+        yield from self._settled()
+        with self._hushed():
+            mean = yield from self._anew(lambda: self._cell.balance.stable_mean(timeout_s), MOVING)
         self._cell.weighed = mean
         return mean
 
-    def in_stillness(self, begun: Callable[[], Steps[T]]) -> Steps[T]:
-        """Carry out what reads the balance while all else stands still; what is disturbed all the same begins again.
+    def beside_arm(self, begun: Callable[[], Steps[T]]) -> Steps[T]:
+        """Carry out what reads the balance while hand and changer stand still; what is disturbed by them begins again.
 
-        SkillFailed balance.unstable where they do not come to rest.
+        The arm may move. SkillFailed balance.unstable where they do not come to rest.
         """
-        yield from self._settled()
-        with self._hushed():
-            while True:
-                yield from self._stillness()
-                steps = begun()
-                try:
-                    while self._is_still:
-                        try:
-                            wake = next(steps)
-                        except StopIteration as over:
-                            result: T = over.value
-                            return result
-                        yield wake
-                finally:
-                    steps.close()
+        return (yield from self.unshaken(self._anew(begun, [name for name in MOVING if name != "arm"])))
+
+    def _anew(self, begun: Callable[[], Steps[T]], still: Sequence[str]) -> Steps[T]:
+        """Carry out steps while these devices stand still; begin them again where one moves all the same."""
+        while True:
+            yield from self._stillness(still)
+            steps = begun()
+            try:
+                while not self._moving(still):
+                    try:
+                        wake = next(steps)
+                    except StopIteration as over:
+                        result: T = over.value
+                        return result
+                    yield wake
+            finally:
+                steps.close()
 
     def _settled(self) -> Steps[None]:
         """Wait until the pan has come to rest, where somebody has the arm: it goes on meanwhile."""
@@ -223,19 +229,14 @@ class RightOfWay:
                 return
             yield from balance.next_reading()
 
-    @property
-    def _is_still(self) -> bool:
-        return not self._moving
+    def _moving(self, devices: Sequence[str]) -> list[str]:
+        return [name for name in devices if not self._cell.device(name).is_stopped]
 
-    @property
-    def _moving(self) -> list[str]:
-        return [name for name in ("arm", "hand", "changer") if not self._cell.device(name).is_stopped]
-
-    def _stillness(self) -> Steps[None]:
-        """Wait until nothing moves any more."""
+    def _stillness(self, devices: Sequence[str]) -> Steps[None]:
+        """Wait until none of them moves any more."""
         clock = self._cell.clock
         deadline_s = clock.now_s + STILL_TIMEOUT_S
-        while moving := self._moving:
+        while moving := self._moving(devices):
             if clock.now_s >= deadline_s:
                 what = f"the {' and the '.join(moving)} moved on for {STILL_TIMEOUT_S:g} s beside the weighing"
                 raise SkillFailed(Code.BALANCE_UNSTABLE, what)

@@ -10,7 +10,7 @@ import os
 import sys
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
@@ -23,6 +23,7 @@ from scuhand_bt.cell_spec import DEVICES
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, Skill
+from scuhand_bt.skill_files.calls import all_of, come_to, unguarded, within, yields
 from scuhand_bt.skill_files.facts import Syntax
 from scuhand_bt.skill_files.names import CLOCKS, Function, Names, bound_in, fields_of, has_member
 
@@ -30,7 +31,6 @@ EXITS = (sys.exit, os._exit, *(getattr(builtins, name, sys.exit) for name in ("e
 """What ends the whole program."""
 RESUMING = "settle"
 """The method that has the arm and the balance, too: by them an interrupted action is taken up."""
-_OF_ITS_OWN = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)
 
 
 def check_source(skill: type[Skill[Any]], syntax: Syntax, module: types.ModuleType, file: str) -> Problems:
@@ -72,11 +72,12 @@ def _check_functions(
     body: ast.ClassDef | None = None,
 ) -> None:
     functions = [node for node in syntax.nodes if isinstance(node, Function)]
-    generators = {function.name for function in functions if _yields(function)}
+    generators = {function.name for function in functions if yields(function)}
+    reached = come_to(syntax.tree, body) if body is not None else {}
     for function in functions:
         own = leased if leased is None else leased | ({"arm", "balance"} if function.name == RESUMING else set())
         of_skill = skill if body is not None and function in body.body and _has_self(function) else None
-        _FunctionCheck(function, vars(module), generators, own, problems, file, of_skill).check()
+        _FunctionCheck(function, vars(module), generators, own, problems, file, of_skill, reached.get(function)).check()
 
 
 def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems, file: str) -> None:
@@ -98,13 +99,13 @@ def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems,
         problems.add(
             _mark(file, methods["forecast"]), "'forecast' is no class method", "@classmethod", code="skill-signature"
         )
-    for node in _within(methods["check"]) if issubclass(skill, Condition) and "check" in methods else ():
+    for node in within(methods["check"]) if issubclass(skill, Condition) and "check" in methods else ():
         if isinstance(node, ast.Yield | ast.YieldFrom) or (isinstance(node, ast.Return) and _gives_a_value(node)):
             what = "a condition holds wherever its `check` returns: what it gives is not looked at, nor what it yields"
             remedy = "`raise SkillFailed(code, why)` where it does not hold"
             problems.add(_mark(file, node), what, remedy, code="skill-condition")
     run = methods.get("run")
-    if run is not None and not _yields(run) and not _returns_a_call(run):
+    if run is not None and not yields(run) and not _returns_a_call(run):
         what = "'run' is no generator: it has no `yield`, and so cannot be waited for or halted"
         problems.add(_mark(file, run), what, "`yield from pause(cell, …)`, or `yield from ()`", code="skill-generator")
     interrupted = typing.get_args(typing.get_args(Skill.__annotations__["interrupted"])[0])
@@ -136,6 +137,7 @@ class _FunctionCheck:
         problems: Problems,
         file: str,
         skill: type[Skill[Any]] | None,
+        caller: str | None,
     ) -> None:
         self._function = function
         self._names = Names(function, names, generators, skill)
@@ -143,9 +145,11 @@ class _FunctionCheck:
         self._problems = problems
         self._file = file
         self._skill = skill
+        self._caller = caller
+        """By what the engine comes to it, "" for itself; None where it does not, or what is raised here is caught."""
 
     def check(self) -> None:
-        nodes = list(_within(self._function))
+        nodes = list(within(self._function))
         for node in nodes:
             self._names.follow(node)
         for node in nodes:
@@ -162,7 +166,7 @@ class _FunctionCheck:
             elif isinstance(node, ast.While):
                 self._check_end(node)
             elif isinstance(node, ast.Raise) and node.exc is not None:
-                self._check_raised(node, node.exc, nodes)
+                self._check_raised(node, node.exc)
             elif isinstance(node, ast.Call):
                 self._check_clock(node)
                 if any(self._names.object_of(node.func) is one for one in EXITS):
@@ -227,19 +231,19 @@ class _FunctionCheck:
 
     def _check_finally(self, node: ast.Try) -> None:
         for statement in node.finalbody:
-            for inner in (statement, *_within(statement)):
+            for inner in (statement, *within(statement)):
                 if isinstance(inner, ast.Yield | ast.YieldFrom):
                     what = "this waits in `finally`, where a skill that is halted only sends safe commands"
                     self._add(inner, what, "send what makes it safe; the engine waits until it is", "skill-finally")
 
     def _check_halt(self, node: ast.Try) -> None:
         """A skill is halted by an exception where it waits: whoever catches that goes on."""
-        if not any(isinstance(inner, ast.Yield | ast.YieldFrom) for part in node.body for inner in _with(part)):
+        if not any(isinstance(inner, ast.Yield | ast.YieldFrom) for part in node.body for inner in all_of(part)):
             return
         for handler in node.handlers:
             caught = handler.type.elts if isinstance(handler.type, ast.Tuple) else [handler.type]
             is_any = any(one is None or self._names.object_of(one) in (BaseException, GeneratorExit) for one in caught)
-            if is_any and not any(isinstance(inner, ast.Raise) for part in handler.body for inner in _with(part)):
+            if is_any and not any(isinstance(inner, ast.Raise) for part in handler.body for inner in all_of(part)):
                 what = "this catches what halts the skill, too"
                 self._add(
                     handler, what, "`finally:` for what is to be done anyway, or `except SkillFailed:`", "skill-halt"
@@ -249,19 +253,17 @@ class _FunctionCheck:
         """A loop without end that never waits."""
         is_endless = isinstance(node.test, ast.Constant) and bool(node.test.value)
         goes_on = (ast.Yield, ast.YieldFrom, ast.Await, ast.Break, ast.Return, ast.Raise)
-        if is_endless and not any(isinstance(inner, goes_on) for part in node.body for inner in _with(part)):
+        if is_endless and not any(isinstance(inner, goes_on) for part in node.body for inner in all_of(part)):
             what = "this loop never ends and never waits: nothing else would go on"
             self._add(node, what, "`yield from pause(cell, …)` in it, or `break`", "skill-endless")
 
-    def _check_raised(self, node: ast.Raise, raised: ast.expr, nodes: list[ast.AST]) -> None:
+    def _check_raised(self, node: ast.Raise, raised: ast.expr) -> None:
         """What the engine calls may fail by SkillFailed alone; what is caught in it is its own business."""
         kind = self._names.object_of(raised.func if isinstance(raised, ast.Call) else raised)
         is_fault = isinstance(kind, type) and issubclass(kind, BaseException) and not issubclass(kind, SkillFailed)
-        if not is_fault or self._skill is None or self._function.name not in ("run", RESUMING, "check"):
-            return
-        tries = [one for one in nodes if isinstance(one, ast.Try) and one.handlers]
-        if not any(inner is node for one in tries for part in one.body for inner in _with(part)):
-            self._warn_of_fault(node, f"`{kind.__name__}` is raised here")
+        if is_fault and self._caller is not None and any(inner is node for inner in unguarded(self._function)):
+            uncaught = f", and not caught where '{self._caller}' calls it" if self._caller else ""
+            self._warn_of_fault(node, f"`{kind.__name__}` is raised here{uncaught}")
 
     def _warn_of_fault(self, node: ast.AST, what: str) -> None:
         what += ": a fault of the skill, at which the whole run ends"
@@ -312,38 +314,18 @@ def _why_no_default(info: FieldInfo) -> str | None:
     return None
 
 
-def _within(function: ast.AST) -> Iterator[ast.AST]:
-    """All below a node, in the order of the file; not what is in functions of its own."""
-    ahead = [*ast.iter_child_nodes(function)][::-1]
-    while ahead:
-        node = ahead.pop()
-        if not isinstance(node, _OF_ITS_OWN):
-            yield node
-            ahead += [*ast.iter_child_nodes(node)][::-1]
-
-
-def _with(node: ast.AST) -> Iterator[ast.AST]:
-    """A node, and all below it."""
-    yield node
-    yield from _within(node)
-
-
-def _yields(function: Function) -> bool:
-    return any(isinstance(node, ast.Yield | ast.YieldFrom) for node in _within(function))
-
-
 def _gives_a_value(node: ast.Return) -> bool:
     """Of a call it is not known."""
     return not (node.value is None or isinstance(node.value, ast.Call) or ast.unparse(node.value) == "None")
 
 
 def _returns_a_call(function: Function) -> bool:
-    return any(isinstance(node, ast.Return) and isinstance(node.value, ast.Call) for node in _within(function))
+    return any(isinstance(node, ast.Return) and isinstance(node.value, ast.Call) for node in within(function))
 
 
 def _is_never_reached(node: ast.Yield, function: Function) -> bool:
     """A `yield` behind a `return` or a `raise` only makes a generator of the function."""
-    for block in (part for part in (function, *_within(function)) if hasattr(part, "body")):
+    for block in (part for part in (function, *within(function)) if hasattr(part, "body")):
         ended = False
         for statement in block.body if isinstance(block.body, list) else ():
             if ended and any(inner is node for inner in ast.walk(statement)):
