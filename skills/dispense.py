@@ -11,7 +11,13 @@ from scuhand_bt.cell.believed import LAST_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.pan_cleared import SCOOP_DOUBT, STOOD_STILL, stands_still, weigh_broken_off
 from scuhand_bt.cell.places import fall_s, over_balance
-from scuhand_bt.cell.weighing import PAUSE_S, note_moved, require_unchanged, weigh_until_still, weighing_of
+from scuhand_bt.cell.weighing import (
+    note_moved,
+    require_unchanged,
+    weigh_before_dose,
+    weigh_until_still,
+    weighing_of,
+)
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DEFAULT_CONTROLLER, DoseRequest, new_controller
@@ -21,10 +27,8 @@ from scuhand_bt.dosing.bracket import (
     dose_between,
     drift_between,
     fallen_mg,
-    is_hardly_chance,
     later_mg,
     significant,
-    together,
     watch_s,
 )
 from scuhand_bt.dosing.characteristic import held_mg
@@ -60,8 +64,6 @@ FELL_NOISES = 5.0
 """In sound dry runs the readings of a dose that is not shaken never fall by more than two digits."""
 RINGS_S = 1.0
 """So long after the motor has stopped readings may still be of when it went."""
-LOOK_S = 4.0
-"""A drift by weighings sooner after each other may be chance, over all of the dose: it is looked at anew."""
 FRESH_LOAD_MG = 1000.0
 """With less in the mortar a fresh load may not be enough for the last of a dose."""
 ROUNDS = 4
@@ -126,13 +128,8 @@ class Dispense(Skill[Dose]):
         self.request(cell)  # what cannot be dosed is refused before anything is weighed
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
-            bracket = cell.believed.bracket
         self._require_over(cell)
-        earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
-        drift = drift_between(earlier, weighing_of(mean), cell.spec.balance.readability_mg)
-        if mean.time_s - earlier.time_s < LOOK_S and is_hardly_chance(drift):
-            both, allowed_mg = together(earlier, weighing_of(mean)), self._allowed_mg * LOOK_S / PAUSE_S
-            earlier, mean = yield from weigh_until_still(cell, both, allowed_mg, LOOK_S)
+        earlier, mean = yield from weigh_before_dose(cell, self._allowed_mg)
         for _ in range(ROUNDS):
             run, reference, earlier, mean = yield from self._dose(cell, earlier, mean)
             dose = self._judged(cell, run)

@@ -11,7 +11,7 @@ from dose_bench import DISH, Bench, shipped_powders
 from scuhand_bt.cell import weighing
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.cell.weighing import watched
-from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.clock import Clock, Signal, Steps, Wake, pause
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
@@ -392,3 +392,38 @@ def test_nobody_is_asked_to_put_back_what_was_just_taken_away(first: Rig) -> Non
     first.pan.needs_person = True
     assert first.remove()
     assert told_again(first) == []
+
+
+def before_the_next_dose(rig: Rig, moved_mg: float, hand_away_s: float = 30.0) -> None:
+    """The hand goes and comes again, with another powder; by then the full dish weighs otherwise."""
+    rig.bench.drive(pause(rig.clock, hand_away_s))
+    rig.pan.load_mg += moved_mg
+    rig.bench.drive(weighing.weigh_before_dose(rig.cell, 1.0))
+
+
+@pytest.mark.parametrize(("moved_mg", "stepped_mg"), [(1.0, 0.0), (-1.0, 1.0)])
+def test_what_a_dish_gains_between_two_doses_may_have_dripped_and_what_it_loses_is_the_zeros(
+    rig: Rig, moved_mg: float, stepped_mg: float
+) -> None:
+    before_the_next_dose(rig, moved_mg)
+    assert rig.believed.zero_stepped_mg == pytest.approx(stepped_mg)
+    assert rig.believed.drift_mg_per_s == pytest.approx(1.0 / 33.5, rel=0.05)
+
+
+@pytest.mark.parametrize(("moved_mg", "least_mg", "most_mg"), [(0.1, 0.0, 0.2), (0.4, 0.4, 0.6), (-0.1, 0.0, 0.2)])
+def test_what_dripped_between_two_doses_is_a_doubt_of_both_which_the_bare_pan_does_not_take_away(
+    rig: Rig, moved_mg: float, least_mg: float, most_mg: float
+) -> None:
+    before_the_next_dose(rig, moved_mg)
+    rig.dose_salt()
+    rig.remove()
+    for dose in rig.believed.closed[-1].doses.values():
+        assert least_mg <= dose.uncertainty_mg < most_mg
+
+
+def test_what_dripped_before_a_dose_is_no_drift_in_it(rig: Rig) -> None:
+    rig.bench.drive(pause(rig.clock, 30.0))
+    rig.pan.load_mg += 0.8
+    earlier, mean = rig.bench.drive(weighing.weigh_before_dose(rig.cell, 1.0))
+    assert mean.value_mg == pytest.approx(earlier.gross_mg)
+    assert earlier.time_s > rig.began_s

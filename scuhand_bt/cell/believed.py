@@ -296,6 +296,10 @@ class Believed(BelievedPowder):
             ),
         )
 
+    def dripped(self, mass_mg: float) -> None:
+        """The container has gained so much since its last dose, which puts its doses in doubt."""
+        self._set(bracket=self._open_bracket.dripped(mass(mass_mg)))
+
     def reweighed(self, gained: Net, now: Gross) -> None:
         """The container was weighed after a dose broke off: what it has gained since is of its lot, and has left the
         cone, if that still has this lot in it.

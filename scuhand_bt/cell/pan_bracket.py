@@ -38,6 +38,9 @@ class Bracket:
     """What was seen about the last dose."""
     lot: str = ""
     """What is being dosed."""
+    dripped_mg: float = 0.0
+    """What it gained between doses, while the hand was away: powder that dripped, or a force, which the bare pan does
+    not tell apart."""
     lifted: Gross | None = None
     """The filled container, the hand away, before it is taken off the pan."""
     carried: Nets = field(default_factory=lambda: MappingProxyType({}))
@@ -86,6 +89,10 @@ class Bracket:
     def _with(self, nets: Nets, more: Net) -> Nets:
         so_far = nets.get(self.lot, Net(0.0, 0.0))
         return MappingProxyType({**nets, self.lot: total([so_far, more])})
+
+    def dripped(self, mass_mg: float) -> "Bracket":
+        """It has gained so much between two doses."""
+        return replace(self, dripped_mg=self.dripped_mg + mass_mg)
 
     def with_zero_moved(self, drift_mg: float, now: Gross) -> "Bracket":
         """As if the balance had always had the zero that it has now."""

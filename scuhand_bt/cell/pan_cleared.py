@@ -84,7 +84,7 @@ def take_container_away(cell: Cell, to: Container | None = None) -> Steps[Stable
 
 
 def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
-    believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
+    believed, digit_mg, crept_mg = cell.believed, cell.spec.balance.readability_mg, 0.0
     lifted, stood_still = None, False
     yield from weigh_broken_off(cell)
     bracket = believed.bracket
@@ -95,7 +95,7 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
         cell.record.event(ContainerLifted(**dict(lifted.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes
         # What has dripped, or a force that grows with the container, and did while it was dosed.
-        crept = Net(0.0, note_moved(cell, bracket.last, weighing_of(lifted)))
+        crept_mg = note_moved(cell, bracket.last, weighing_of(lifted))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket
     container = believed.pan
@@ -125,6 +125,7 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
     weighings = (bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare))
     closed = close(doses, drifted, bracket.drift, *weighings, digit_mg)
     believed.zero_stepped(max(0.0, -closed.stepped_mg))
+    crept = Net(0.0, crept_mg + bracket.dripped_mg)
     since = {lot: total((net, crept)) for lot, net in zip(bracket.doses, closed.doses, strict=True)}
     adjusted = {lot: total(nets[lot] for nets in (bracket.carried, since) if lot in nets) for lot in bracket.holds}
     closes, detail = closed.closes and not stood_still, STOOD_STILL if stood_still else _in_words(closed)

@@ -10,12 +10,16 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake, pause
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import (
+    HARDLY,
     SURELY,
     Gross,
     apart_mg,
     differ_mg,
+    drift_between,
+    is_hardly_chance,
     moved_mg,
     standing,
+    together,
 )
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
 from scuhand_bt.dosing.identification import balance_of, is_linear, is_unlike
@@ -31,6 +35,8 @@ PATIENCE_S = 60.0
 """So long two weighings in a row may go on differing."""
 PAUSE_S = 1.5
 """Between two weighings that are to agree."""
+LOOK_S = 4.0
+"""A drift by weighings sooner after each other may be chance, over all of the dose: it is looked at anew."""
 WATCHED = 5
 """So many stable readings in a row tell what the pan shows."""
 CREEP_DIGITS = 5.0
@@ -97,6 +103,30 @@ def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
     cell.believed.zero_stepped(max(0.0, -moved))
     cell.believed.drifted(abs(moved) / (lasted_s if moved < 0.0 else max(lasted_s, DROP_S)))
     return max(0.0, moved)
+
+
+def weigh_before_dose(cell: Cell, allowed_mg: float) -> Steps[tuple[Gross, StableMean]]:
+    """Two weighings that agree of what stands there, before more comes into it: they tell the drift by then.
+
+    What a container has gained since its last dose, by more than chance often makes, may have dripped as the hand left
+    with one powder or came with the next: no step of the zero, and no drift that goes on in the dose.
+    """
+    bracket, digit_mg = cell.believed.bracket, cell.spec.balance.readability_mg
+    assert bracket is not None
+    before, holds_powder = bracket.last, bool(bracket.doses)
+    agree_mg = 0.0 if holds_powder else allowed_mg
+    last, mean = yield from weigh_until_still(cell, before, agree_mg, may_gain=holds_powder)
+    drift = drift_between(last, weighing_of(mean), digit_mg)
+    if mean.time_s - last.time_s < LOOK_S and is_hardly_chance(drift):
+        both, look_mg = together(last, weighing_of(mean)), allowed_mg * LOOK_S / PAUSE_S
+        last, mean = yield from weigh_until_still(cell, both, look_mg, LOOK_S, may_gain=holds_powder)
+    if holds_powder:
+        now = weighing_of(mean)
+        note_moved(cell, before, now)
+        gained_mg = now.gross_mg - before.gross_mg
+        if gained_mg > HARDLY * apart_mg(before, now, digit_mg):
+            cell.believed.dripped(gained_mg)
+    return last, mean
 
 
 def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
