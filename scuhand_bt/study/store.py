@@ -12,7 +12,7 @@ from platformdirs import user_cache_path
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.program import source_digest
-from scuhand_bt.study.change import files_hash, plant_hash
+from scuhand_bt.study.change import files_hash, modules_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
@@ -51,10 +51,10 @@ class Store:
 
 
 def _read_as(setup: Setup) -> str:
-    """All that a trial depends on and that is written somewhere: files, program, physics."""
+    """All that a trial depends on and that is written somewhere: files, program, one's own modules."""
     files = setup.files or files_hash(setup.recipe, setup.lab)
-    physics = setup.physics or plant_hash(setup.plant)
-    return json.dumps([files, source_digest(), *([physics] if physics else [])])
+    modules = setup.modules or modules_hash(setup.plant, setup.lab)
+    return json.dumps([files, source_digest(), *([modules] if modules else [])])
 
 
 @contextmanager
