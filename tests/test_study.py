@@ -838,7 +838,7 @@ def fake(seed: int, duration_s: float, good: str) -> Trial:
 def test_a_ctrl_c_tells_what_a_plan_has_come_to_so_far(
     setup: Setup, command: Call, monkeypatch: pytest.MonkeyPatch, had: tuple[int, ...], said: str
 ) -> None:
-    def broken_off(tasks: Sequence[Task], executor: Executor) -> Iterator[tuple[Task, Trial]]:
+    def broken_off(tasks: Sequence[Task], *_: object) -> Iterator[tuple[Task, Trial]]:
         for seed in had:
             yield tasks[seed], fake(seed, 600.0, "ab")
         raise KeyboardInterrupt
