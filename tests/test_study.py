@@ -143,6 +143,11 @@ def test_a_plan_tries_what_it_has_not_tried_of_these_files(
     assert plan(3) == (3, odds)
     kept = list((tmp_path / "caches" / "scuhand_bt" / "trials").iterdir())
     assert len(kept) == 1, "what was tried of other files is not tried again"
+    with monkeypatch.context() as another:
+        another.setattr("scuhand_bt.study.store.source_digest", lambda: "of another program")
+        assert plan(3) == (3, odds)
+    assert plan(3) == (3, odds)
+    kept = list(kept[0].parent.iterdir())
     kept[0].write_text("this is no database")
     assert (plan(3), plan(3)) == ((3, odds), (3, odds))
     (tmp_path / "a file").touch()
