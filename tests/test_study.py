@@ -150,6 +150,13 @@ def test_a_plan_tries_what_it_has_not_tried_of_these_files(
     kept = list(kept[0].parent.iterdir())
     kept[0].write_text("this is no database")
     assert (plan(3), plan(3)) == ((3, odds), (3, odds))
+    kept[0].unlink()
+    plan(3)
+    with closing(sqlite3.connect(kept[0])) as database, database:
+        database.execute("UPDATE trial SET figures = '{' WHERE seed = 1")
+    assert plan(3) == (1, odds)
+    kept[0].write_bytes(kept[0].read_bytes()[:4096].ljust(12288, b"\xff"))
+    assert plan(3) == (3, odds), "it has its table still, and no trial can be read or kept"
     (tmp_path / "a file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a file"))
     assert plan(3) == (3, odds)
