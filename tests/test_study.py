@@ -1134,7 +1134,7 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
     vary = tmp_path / "vary.yaml"
     vary.write_text(f"{{design: grid, draws: 2, vary: {{{FLOW}: {{from: 40, to: 150}}}}}}", encoding="utf-8")
     rows, kept = tmp_path / "rows.csv", tmp_path / "s.sqlite"
-    asked = ("study", setup.recipe, "--trials", 2, "--vary", vary, "--store", kept, "-o", rows, "--workers", 2)
+    asked = ("study", setup.recipe, "--trials", 2, "--vary", vary, "--store", kept, "-o", rows, "--workers", 1)
     found = json.loads(command(*asked, "--json").stdout)
     assert (found["draws"], found["trials"]) == (2, 4)
     assert found["indices"]["duration_s"][FLOW]["rank"] == pytest.approx(-1.0)
