@@ -56,7 +56,7 @@ masses_mg = st.floats(200.0, 30_000.0)
 
 
 @given(masses_mg, st.floats(100.0, 6000.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_no_more_is_expected_than_is_wanted_or_there(in_mortar_mg: float, wanted_mg: float) -> None:
     bed = Bed(MORTAR, in_mortar_mg, BEADS)
     stroke = chosen(bed, LADLE, wanted_mg)

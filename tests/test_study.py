@@ -35,10 +35,10 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
-from scuhand_bt.study.change import changed, files_hash, plant_hash, with_value
+from scuhand_bt.study.change import changed, files_hash, modules_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import Found, diff, is_better, optimised
-from scuhand_bt.study.plant_files import plant_files
+from scuhand_bt.study.own_modules import lab_modules, plant_files
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.store import open_store
@@ -143,8 +143,20 @@ def test_a_plan_tries_what_it_has_not_tried_of_these_files(
     assert plan(3) == (3, odds)
     kept = list((tmp_path / "caches" / "scuhand_bt" / "trials").iterdir())
     assert len(kept) == 1, "what was tried of other files is not tried again"
+    with monkeypatch.context() as another:
+        another.setattr("scuhand_bt.study.store.source_digest", lambda: "of another program")
+        assert plan(3) == (3, odds)
+    assert plan(3) == (3, odds)
+    kept = list(kept[0].parent.iterdir())
     kept[0].write_text("this is no database")
     assert (plan(3), plan(3)) == ((3, odds), (3, odds))
+    kept[0].unlink()
+    plan(3)
+    with closing(sqlite3.connect(kept[0])) as database, database:
+        database.execute("UPDATE trial SET figures = '{' WHERE seed = 1")
+    assert plan(3) == (1, odds)
+    kept[0].write_bytes(kept[0].read_bytes()[:4096].ljust(12288, b"\xff"))
+    assert plan(3) == (3, odds), "it has its table still, and no trial can be read or kept"
     (tmp_path / "a file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a file"))
     assert plan(3) == (3, odds)
@@ -185,7 +197,57 @@ def test_physics_of_ones_own_that_were_changed_are_tried_anew(
     assert tried == [True, False, True]
 
 
-def test_what_physics_of_ones_own_import_is_theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_order_is_tried_with_the_files_that_the_plan_was_made_of(
+    setup: Setup, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[Setup] = []
+
+    def edited(of: Setup, seed: int) -> Trial:
+        tried.append(of)
+        setup.recipe.write_text(RECIPE.replace("30 mg", "31 mg"), encoding="utf-8")
+        return fake(seed, 600.0, "abc")
+
+    def of_another(made: Plan, lab: Lab, odds: object, hours: object, tried: Callable[[Plan], object]) -> list[str]:
+        tried(replace(made, recipe=replace(made.recipe, order="as_written")))
+        return []
+
+    monkeypatch.setattr(scuhand_bt.study, "executor_of", lambda *_: nullcontext(Inline(edited)), raising=False)
+    monkeypatch.setattr(scuhand_bt.study, "in_words", of_another, raising=False)
+    before = files_hash(setup.recipe, setup.lab)
+    ended = command("plan", setup.recipe, "--lab", setup.lab, "--trials", 3, "--night", "20:00-08:00")
+    assert ended.returncode == 0, ended.stderr
+    assert [of.order for of in tried] == ["by_powder"] * 3 + ["as_written"] * 3
+    assert {of.files for of in tried} == {before}, "the process that tries it says that they have changed"
+
+
+@pytest.mark.parametrize("of", ["skill", "skill in the lab", "driver"])
+def test_modules_of_ones_own_that_a_lab_is_made_of_and_were_changed_are_tried_anew(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, of: str
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    dots, folder = ("..", setup.lab) if of == "skill in the lab" else ("", tmp_path)
+    mine, deep = folder / "module_of_mine.py", folder / "deep_of_mine.py"
+    mine.write_text(f"from {dots[:1]}deep_of_mine import X\nraise SystemExit('it was run')\n", encoding="utf-8")
+    cell, skill = setup.lab / "robot" / "cell.yaml", setup.lab / "skills" / "park.py"
+    if of == "driver":
+        text = cell.read_text(encoding="utf-8").replace("driver: shimadzu", "driver: 'module_of_mine:DRIVER'")
+        cell.write_text(text, encoding="utf-8")
+    else:
+        text = skill.read_text(encoding="utf-8")
+        skill.write_text(f"{text}\nfrom {dots}module_of_mine import X\n", encoding="utf-8")
+    kept, tried = tmp_path / "s.sqlite", []
+    for text in ("X = 1", "X = 1", "X = 2"):
+        deep.write_text(text, encoding="utf-8")
+        with open_store(kept, setup) as store:
+            tried.append(not list(store.found([(setup, 0)])))
+            store.keep(setup, fake(0, 60.0, "abc"))
+    assert tried == [True, False, True]
+    assert set(lab_modules(setup.lab).values()) == {mine, deep}
+
+
+def test_what_physics_of_ones_own_import_is_theirs(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     for folder in ("of_mine", "of_mine/deep"):
         (tmp_path / folder).mkdir()
@@ -200,12 +262,12 @@ def test_what_physics_of_ones_own_import_is_theirs(tmp_path: Path, monkeypatch: 
     }
     for name, text in texts.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
-    before = {plant_hash("of_mine.plants:Mine")}
+    before = {modules_hash("of_mine.plants:Mine", setup.lab)}
     (tmp_path / "unrelated.py").write_text("other = True", encoding="utf-8")
-    assert {plant_hash("of_mine.plants:Mine")} == before
+    assert {modules_hash("of_mine.plants:Mine", setup.lab)} == before
     for edited in ("of_mine/__init__.py", "of_mine/damp.py", "beside.py", "of_mine/deep/er.py"):
         (tmp_path / edited).write_text(f"{texts[edited]}other = True", encoding="utf-8")
-        before.add(plant_hash("of_mine.plants:Mine"))
+        before.add(modules_hash("of_mine.plants:Mine", setup.lab))
     assert len(before - {""}) == 5
     assert set(plant_files("of_mine.plants:Mine")) == {
         "of_mine", "of_mine.damp", "of_mine.plants", "of_mine.deep", "of_mine.deep.er", "beside",
@@ -224,11 +286,11 @@ def test_what_a_process_has_read_of_physics_before_their_file_was_changed_is_not
     own, name = tmp_path / "physics_of_today.py", "physics_of_today:Mine"
     text = "from scuhand_bt.sim.plant import Plant\n\n\nclass Mine(Plant):\n    pass\n"
     own.write_text(text, encoding="utf-8")
-    before = replace(setup, plant=name, physics=plant_hash(name))
+    before = replace(setup, plant=name, modules=modules_hash(name, setup.lab))
     came = trial(before, 0)
     own.write_text(f"{text}    # another one\n", encoding="utf-8")
-    after = replace(before, physics=plant_hash(name))
-    with pytest.raises(SourceError, match="physics_of_today:Mine: its file, or one that it imports, has changed"):
+    after = replace(before, modules=modules_hash(name, setup.lab))
+    with pytest.raises(SourceError, match="the --plant are made of has changed since"):
         trial(after, 0)
     assert trial(before, 0) == came, "what began with them goes on"
 
@@ -276,7 +338,7 @@ def test_what_is_varied_is_what_is_run(setup: Setup, tmp_path: Path, monkeypatch
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "telling_physics.py").write_text(TELLING, encoding="utf-8")
     name, changes = "telling_physics:Telling", ((FLOW, "20"), ("recipe.samples.2.mass", "90 mg"))
-    tried = trial(replace(setup, plant=name, physics=plant_hash(name), changes=changes), 0)
+    tried = trial(replace(setup, plant=name, modules=modules_hash(name, setup.lab), changes=changes), 0)
     assert [one.target_mg for one in tried.samples] == [50.0, 50.0, 90.0]
     assert set(sys.modules["telling_physics"].FLOWS) == {20.0}
 
@@ -788,7 +850,7 @@ def fake(seed: int, duration_s: float, good: str) -> Trial:
 def test_a_ctrl_c_tells_what_a_plan_has_come_to_so_far(
     setup: Setup, command: Call, monkeypatch: pytest.MonkeyPatch, had: tuple[int, ...], said: str
 ) -> None:
-    def broken_off(tasks: Sequence[Task], executor: Executor) -> Iterator[tuple[Task, Trial]]:
+    def broken_off(tasks: Sequence[Task], *_: object) -> Iterator[tuple[Task, Trial]]:
         for seed in had:
             yield tasks[seed], fake(seed, 600.0, "ab")
         raise KeyboardInterrupt
@@ -1072,7 +1134,7 @@ def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, comman
     vary = tmp_path / "vary.yaml"
     vary.write_text(f"{{design: grid, draws: 2, vary: {{{FLOW}: {{from: 40, to: 150}}}}}}", encoding="utf-8")
     rows, kept = tmp_path / "rows.csv", tmp_path / "s.sqlite"
-    asked = ("study", setup.recipe, "--trials", 2, "--vary", vary, "--store", kept, "-o", rows, "--workers", 2)
+    asked = ("study", setup.recipe, "--trials", 2, "--vary", vary, "--store", kept, "-o", rows, "--workers", 1)
     found = json.loads(command(*asked, "--json").stdout)
     assert (found["draws"], found["trials"]) == (2, 4)
     assert found["indices"]["duration_s"][FLOW]["rank"] == pytest.approx(-1.0)

@@ -1,7 +1,7 @@
 """The command that shows what a recipe comes to: its jobs in their order, their odds, and when a person is needed."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,7 +30,7 @@ from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
     from scuhand_bt.api import Lab, Plan, Sample
-    from scuhand_bt.study import Night, Odds, Trial
+    from scuhand_bt.study import Night, Odds, Setup, Trial
 
 NO_NIGHT = "; what a night holds is not told by these"
 
@@ -61,10 +61,11 @@ def plan(
         require_can_write(html, "jinja2", extra="report")
     made, opened = the_plan(recipe, lab)
     loaded = opened.lab
+    setup = _setup(made, loaded)
     hours = _night(night, trials) if night is not None else None
 
     def tried(of: "Plan") -> "Odds":
-        return _odds(of, _trials(of, loaded, trials, workers))
+        return _odds(of, _trials(replace(setup, order=of.recipe.order), trials, workers))
 
     notes = notes_of(made, opened, quiet=as_json, ways=bool(trials))
     doubts = opened.doubts(made)
@@ -84,7 +85,7 @@ def plan(
     out.file.flush()
     ended, is_broken_off = [], False
     try:
-        for one in _trials(made, loaded, trials, workers) if trials else ():
+        for one in _trials(setup, trials, workers) if trials else ():
             ended.append(one)
     except KeyboardInterrupt:
         is_broken_off = True
@@ -163,12 +164,19 @@ def _night_values(made: "Plan", odds: "Odds", hours: "Night") -> dict[str, Any]:
     return {"lasts_s": hours.lasts_s, "samples": [asdict(fate) for fate in fates(made, odds, hours)]}
 
 
-def _trials(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Iterator[Trial]":
-    """By the first seeds, as they end, in the background and in the plan's order; what fails there says so itself."""
-    from scuhand_bt.study import Setup, all_trials, executor_of, files_hash, last_tried
+def _setup(made: "Plan", loaded: "Lab") -> "Setup":
+    """What is tried: the files as they are now, with which the plan was made, whatever becomes of them meanwhile."""
+    from scuhand_bt.study import Setup, files_hash, modules_hash
 
     recipe, folder = made.recipe.path.absolute(), loaded.folder.absolute()
-    setup = Setup(recipe, folder, order=made.recipe.order, files=files_hash(recipe, folder))
+    files, modules = files_hash(recipe, folder), modules_hash(None, folder)
+    return Setup(recipe, folder, order=made.recipe.order, files=files, modules=modules)
+
+
+def _trials(setup: "Setup", trials: int, workers: int | None) -> "Iterator[Trial]":
+    """By the first seeds, as they end, in the background and in the plan's order; what fails there says so itself."""
+    from scuhand_bt.study import all_trials, executor_of, last_tried
+
     with last_tried(setup) as kept, executor_of(workers, None) as executor:
         going = all_trials([(setup, seed) for seed in range(trials)], executor, kept)
         for _, one in as_they_end(going, trials):

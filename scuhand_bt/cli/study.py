@@ -74,9 +74,9 @@ def study(
         ends_of,
         executor_of,
         files_hash,
+        modules_hash,
         odds_of,
         open_store,
-        plant_hash,
         read_vary,
         stopped_in_words,
         write_table,
@@ -94,8 +94,8 @@ def study(
     check_controller(controller)
     made, opened = the_plan(recipe, lab)
     path, folder = recipe.absolute(), opened.lab.folder.absolute()
-    files, physics = files_hash(path, folder), plant_hash(plant)
-    setup = Setup(path, folder, controller=controller, plant=plant, files=files, physics=physics)
+    files, modules = files_hash(path, folder), modules_hash(plant, folder)
+    setup = Setup(path, folder, controller=controller, plant=plant, files=files, modules=modules)
     varied = read_vary(vary, setup.recipe, setup.lab) if vary is not None else None
     if varied is not None and controller is not None and "recipe.controller" in varied.vary:
         raise typer.BadParameter("it is what --vary names", param_hint="--controller")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from scuhand_bt.fronts import front
 
 if TYPE_CHECKING:
-    from scuhand_bt.study.change import files_hash, plant_hash
+    from scuhand_bt.study.change import files_hash, modules_hash
     from scuhand_bt.study.night import Night, fates, in_words, read_night
     from scuhand_bt.study.odds import CELLS, FEWEST, RECKONED, Chance, Odds, Range, odds_of
     from scuhand_bt.study.optimise import diff, optimised
@@ -19,7 +19,7 @@ else:
     __getattr__, __dir__ = front(
         __name__,
         {
-            "study.change": "files_hash plant_hash",
+            "study.change": "files_hash modules_hash",
             "study.night": "Night fates in_words read_night",
             "study.odds": "CELLS FEWEST RECKONED Chance Odds Range odds_of",
             "study.optimise": "diff optimised",
@@ -57,10 +57,10 @@ __all__ = [
     "in_words",
     "last_tried",
     "means_of",
+    "modules_hash",
     "odds_of",
     "open_store",
     "optimised",
-    "plant_hash",
     "read_night",
     "read_vary",
     "stays_in_words",

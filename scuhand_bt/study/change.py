@@ -22,7 +22,7 @@ from scuhand_bt.lab import CELL_FILE
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.expansion import tables_named
 from scuhand_bt.run.resume import lab_files
-from scuhand_bt.study.plant_files import plant_files
+from scuhand_bt.study.own_modules import lab_modules, plant_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
@@ -40,11 +40,11 @@ def files_hash(recipe: Path, lab: Path) -> str:
     return hashlib.sha256(json.dumps([text, found, lab_files(lab)], sort_keys=True).encode()).hexdigest()
 
 
-def plant_hash(plant: str | None) -> str:
-    """SHA-256 of the files that a plant (`module:Class`) is written in (`plant_files`); empty for none."""
-    if plant is None or not (files := plant_files(plant)):
-        return ""
+def modules_hash(plant: str | None, lab: Path) -> str:
+    """SHA-256 of one's own modules that a plant (`module:Class`) and a lab are made of; empty for none."""
     with suppress(OSError):  # the first dry run says what is wrong with it
+        if not (files := (plant_files(plant) if plant is not None else {}) | lab_modules(lab)):
+            return ""
         digests = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
         return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
     return ""

@@ -27,7 +27,7 @@ from scuhand_bt.run.prepared_motion import places_of, prepared_motion
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
 from scuhand_bt.sim.plant import PlantError
-from scuhand_bt.study.change import changed, files_hash, plant_hash
+from scuhand_bt.study.change import changed, files_hash, modules_hash
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, into
 
@@ -45,9 +45,9 @@ def dry_run(setup: Setup, seed: int) -> Trial:
 def _dry_run(setup: Setup, seed: int) -> Trial:
     plan, lab, motion = _made(setup)
     plant = SOME_CELL if setup.plant is None else setup.plant
-    if setup.physics and _read_as(plant) not in ("", setup.physics):
-        problem = f"{plant}: its file, or one that it imports, has changed since; begin again, a cluster's workers too"
-        raise SourceError([Problem(Mark("--plant", 0), problem)])
+    if setup.modules and _read_as(setup.plant, setup.lab) not in ("", setup.modules):
+        what = "a module of your own that its skills, its drivers or the --plant are made of has changed since"
+        raise SourceError([Problem(Mark(str(setup.lab), 0), f"{what}; begin again, a cluster's workers too")])
     SomeCell.seed = seed
     with tempfile.TemporaryDirectory(prefix="scuhand-trial-") as folder:
         runs = Path(folder) / "runs"
@@ -153,9 +153,9 @@ class _Told(BatchObserver):
 
 
 @cache
-def _read_as(plant: str) -> str:
-    """The hash of a plant's file as this process has it: a module is read once, whatever becomes of its file."""
-    return plant_hash(plant)
+def _read_as(plant: str | None, lab: Path) -> str:
+    """The hash of one's own modules as this process has them: each is read once, whatever becomes of its file."""
+    return modules_hash(plant, lab)
 
 
 @lru_cache(maxsize=1)

@@ -12,7 +12,7 @@ from platformdirs import user_cache_path
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.program import source_digest
-from scuhand_bt.study.change import files_hash, plant_hash
+from scuhand_bt.study.change import files_hash, modules_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
@@ -33,10 +33,8 @@ class Store:
             row = self._database.execute(
                 "SELECT figures FROM trial WHERE tried = ? AND seed = ?", (self._key(setup), seed)
             ).fetchone()
-            if row is not None:
-                figures = json.loads(row[0])
-                trial = Trial(**figures)
-                yield (setup, seed), replace(trial, samples=tuple(SampleTrial(**one) for one in figures["samples"]))
+            if row is not None and (kept := _read(row[0])) is not None:
+                yield (setup, seed), kept
 
     def keep(self, setup: Setup, trial: Trial) -> None:
         """Write it down, at once."""
@@ -50,15 +48,35 @@ class Store:
         return hashlib.sha256(tried.encode()).hexdigest()
 
 
+class _Cache(Store):
+    """Trials that cost nothing but time: where they cannot be read or kept they are made again."""
+
+    def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
+        with suppress(sqlite3.Error):
+            yield from super().found(tasks)
+
+    def keep(self, setup: Setup, trial: Trial) -> None:
+        with suppress(sqlite3.Error):
+            super().keep(setup, trial)
+
+
+def _read(figures: str) -> Trial | None:
+    """A trial as it was kept; None of what is none, as in a damaged file: it is made again."""
+    with suppress(ValueError, TypeError, KeyError):
+        found = json.loads(figures)
+        return replace(Trial(**found), samples=tuple(SampleTrial(**one) for one in found["samples"]))
+    return None
+
+
 def _read_as(setup: Setup) -> str:
-    """All that a trial depends on and that is written somewhere: files, program, physics."""
+    """All that a trial depends on and that is written somewhere: files, program, one's own modules."""
     files = setup.files or files_hash(setup.recipe, setup.lab)
-    physics = setup.physics or plant_hash(setup.plant)
-    return json.dumps([files, source_digest(), *([physics] if physics else [])])
+    modules = setup.modules or modules_hash(setup.plant, setup.lab)
+    return json.dumps([files, source_digest(), *([modules] if modules else [])])
 
 
 @contextmanager
-def open_store(path: Path, setup: Setup) -> Iterator[Store]:
+def open_store(path: Path, setup: Setup, kind: type[Store] = Store) -> Iterator[Store]:
     """The store of a file, made where there is none; SourceError for one that cannot be used."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -69,7 +87,7 @@ def open_store(path: Path, setup: Setup) -> Iterator[Store]:
             if {name for (name,) in database.execute(_TABLES)} - {"trial"}:
                 raise _unusable(path, "it is a database of something else")
             database.execute(_SCHEMA)
-            yield Store(database, setup)
+            yield kind(database, setup)
     except sqlite3.Error as error:
         raise _unusable(path, error) from None
 
@@ -81,14 +99,13 @@ def last_tried(setup: Setup) -> Iterator[Store | None]:
     None where there can be no such file.
     """
     folder = user_cache_path("scuhand_bt") / "trials"
-    of, now = (
-        hashlib.sha256(text.encode()).hexdigest()[:16] for text in (f"{setup.recipe}\0{setup.lab}", _read_as(setup))
-    )
+    which = f"{setup.recipe.resolve()}\0{setup.lab.resolve()}"
+    of, now = (hashlib.sha256(text.encode()).hexdigest()[:16] for text in (which, _read_as(setup)))
     path = folder / f"{of}-{now}.sqlite"
     with ExitStack() as opened:
         store = None
         with suppress(SourceError, OSError):
-            store = opened.enter_context(open_store(path, setup))
+            store = opened.enter_context(open_store(path, setup, _Cache))
             for before in set(folder.glob(f"{of}-*.sqlite")) - {path}:
                 before.unlink()
         yield store

@@ -35,8 +35,8 @@ class Setup:
     changes: Changes = ()
     files: str = ""
     """What recipe and lab are to be (`files_hash`), wherever and whenever they are read; empty: whatever they are."""
-    physics: str = ""
-    """What the files of `plant` are to be (`plant_hash`), likewise."""
+    modules: str = ""
+    """What one's own modules are to be that plant and lab are made of (`modules_hash`), likewise."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,94 @@
+"""The files of one's own modules that a trial runs: a plant's, and what a lab's skills and drivers are made of.
+
+They are found by reading imports, and nothing is run but the packages that hold them. What is installed beside
+(numpy, scuhand_bt itself) is not among them, nor is data that a module reads.
+"""
+
+import ast
+import re
+import sys
+import sysconfig
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec, resolve_name, spec_from_file_location
+from pathlib import Path
+
+from scuhand_bt.drivers import PLUGGED
+from scuhand_bt.lab import CELL_FILE, files_of
+from scuhand_bt.skill_files.load import PACKAGE
+
+_KNOWN = {*sys.stdlib_module_names, "scuhand_bt"}
+"""What is Python's own, or this program."""
+
+
+def plant_files(plant: str) -> dict[str, Path]:
+    """The files of a plant (`module:Class`), by their modules' names; nothing where its module is not found."""
+    module = plant.partition(":")[0]
+    found = _reached([module])
+    return found if module in found else {}
+
+
+def lab_modules(lab: Path) -> dict[str, Path]:
+    """Those that a lab's skills import and its cell's drivers are in, beside the lab's own folder of skills."""
+    cell = (lab / CELL_FILE).read_text(encoding="utf-8", errors="replace")
+    drivers = [found[1].partition(":")[0] for found in re.finditer(rf"driver:\s*[\"']?({PLUGGED.pattern})", cell)]
+    skills = [f"{PACKAGE}.skills.{path.stem}" for path in files_of(lab / "skills", "*.py")]
+    found = _reached([*skills, *drivers], lab)
+    return {name: path for name, path in found.items() if path.parent != lab / "skills"}
+
+
+def _reached(modules: Collection[str], lab: Path | None = None) -> dict[str, Path]:
+    """The files of these modules, and of all one's own that they import."""
+    own = {module.partition(".")[0] for module in modules}
+    found, waiting = dict[str, Path](), [name for module in modules for name in _with_packages(module)]
+    while waiting:
+        name = waiting.pop()
+        top, is_named = name.partition(".")[0], name in modules
+        if name in found or (top in _KNOWN and not is_named):
+            continue
+        spec = _spec(name, lab)
+        if spec is None or spec.origin is None or not spec.has_location:
+            continue
+        if is_named or top in own or not _is_installed(spec.origin):
+            found[name] = Path(spec.origin)
+            waiting += _imported(found[name], spec)
+    return found
+
+
+def _with_packages(module: str) -> Iterator[str]:
+    """A module's name, and those of the packages around it: their files are run, too."""
+    parts = module.split(".")
+    for many in range(1, len(parts) + 1):
+        yield ".".join(parts[:many])
+
+
+def _spec(name: str, lab: Path | None) -> ModuleSpec | None:
+    with suppress(ImportError, ValueError, AttributeError, OSError):
+        package, *parts = name.split(".")
+        if package != PACKAGE or lab is None:
+            within = _spec(name.rpartition(".")[0], lab) if parts else None
+            # Of a module that is no package Python would run it, to look for what is in it.
+            return find_spec(name) if not parts or (within and within.submodule_search_locations) else None
+        folder = lab.joinpath(*parts)  # whichever lab this process has under that name
+        for file, folders in ((folder / "__init__.py", [str(folder)]), (folder.with_suffix(".py"), None)):
+            if file.is_file():
+                return spec_from_file_location(name, file, submodule_search_locations=folders)
+    return None
+
+
+def _is_installed(file: str) -> bool:
+    return any(map(Path(file).is_relative_to, (sysconfig.get_path(of) for of in ("purelib", "platlib"))))
+
+
+def _imported(file: Path, spec: ModuleSpec) -> Iterator[str]:
+    """The modules that a module's file may import, by what stands in it; of `from a import b` also `a.b`."""
+    with suppress(SyntaxError, ValueError, ImportError, OSError):
+        for node in ast.walk(ast.parse(file.read_bytes())):
+            if isinstance(node, ast.Import):
+                for one in node.names:
+                    yield from _with_packages(one.name)
+            elif isinstance(node, ast.ImportFrom):
+                module = resolve_name("." * node.level + (node.module or ""), spec.parent)
+                yield from _with_packages(module)
+                yield from (f"{module}.{one.name}" for one in node.names)
