@@ -183,18 +183,24 @@ def test_another_study_in_one_process_is_of_the_files_of_today(setup: Setup) -> 
     assert [one.samples[2].target_mg for one in (before, after)] == [30.0, 31.0], "as on a Dask worker"
 
 
+def tried_anew(setup: Setup, kept: Path, file: Path, texts: Sequence[str]) -> list[bool]:
+    """With each text of a file, one after another: whether what was tried before does not count."""
+    tried = []
+    for text in texts:
+        file.write_text(text, encoding="utf-8")
+        with open_store(kept, setup) as store:
+            tried.append(not list(store.found([(setup, 0)])))
+            store.keep(setup, fake(0, 60.0, "abc"))
+    return tried
+
+
 def test_physics_of_ones_own_that_were_changed_are_tried_anew(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
-    own, kept, tried = tmp_path / "physics_of_mine.py", tmp_path / "s.sqlite", []
-    here = replace(setup, plant="physics_of_mine:Mine")
-    for text in ("class Mine: ...", "class Mine: ...", "class Mine: is_damp = True"):
-        own.write_text(text, encoding="utf-8")
-        with open_store(kept, here) as store:
-            tried.append(not list(store.found([(here, 0)])))
-            store.keep(here, fake(0, 60.0, "abc"))
-    assert tried == [True, False, True]
+    here, own = replace(setup, plant="physics_of_mine:Mine"), tmp_path / "physics_of_mine.py"
+    texts = ("class Mine: ...", "class Mine: ...", "class Mine: is_damp = True")
+    assert tried_anew(here, tmp_path / "s.sqlite", own, texts) == [True, False, True]
 
 
 def test_another_order_is_tried_with_the_files_that_the_plan_was_made_of(
@@ -235,13 +241,7 @@ def test_modules_of_ones_own_that_a_lab_is_made_of_and_were_changed_are_tried_an
     else:
         text = skill.read_text(encoding="utf-8")
         skill.write_text(f"{text}\nfrom {dots}module_of_mine import X\n", encoding="utf-8")
-    kept, tried = tmp_path / "s.sqlite", []
-    for text in ("X = 1", "X = 1", "X = 2"):
-        deep.write_text(text, encoding="utf-8")
-        with open_store(kept, setup) as store:
-            tried.append(not list(store.found([(setup, 0)])))
-            store.keep(setup, fake(0, 60.0, "abc"))
-    assert tried == [True, False, True]
+    assert tried_anew(setup, tmp_path / "s.sqlite", deep, ("X = 1", "X = 1", "X = 2")) == [True, False, True]
     assert set(lab_modules(setup.lab).values()) == {mine, deep}
 
 

@@ -61,10 +61,11 @@ def plan(
         require_can_write(html, "jinja2", extra="report")
     made, opened = the_plan(recipe, lab)
     loaded = opened.lab
-    setup = _setup(made, loaded)
+    setup = _setup(made, loaded) if trials else None
     hours = _night(night, trials) if night is not None else None
 
     def tried(of: "Plan") -> "Odds":
+        assert setup is not None, "whatever tells odds has dry runs"
         return _odds(of, _trials(replace(setup, order=of.recipe.order), trials, workers))
 
     notes = notes_of(made, opened, quiet=as_json, ways=bool(trials))
@@ -85,7 +86,7 @@ def plan(
     out.file.flush()
     ended, is_broken_off = [], False
     try:
-        for one in _trials(setup, trials, workers) if trials else ():
+        for one in _trials(setup, trials, workers) if setup is not None else ():
             ended.append(one)
     except KeyboardInterrupt:
         is_broken_off = True
