@@ -1,6 +1,7 @@
 """Shared by the tests: commands in this process, labs that can be changed, and a bench for trees."""
 
 import compileall
+import gc
 import os
 import shutil
 import sys
@@ -57,6 +58,12 @@ def pytest_configure(config: pytest.Config) -> None:
         caches = tempfile.mkdtemp(prefix="scuhand-caches-")
         os.environ["XDG_CACHE_HOME"] = caches
         config.add_cleanup(lambda: shutil.rmtree(caches, ignore_errors=True))
+    gc.set_threshold(10_000, 20)
+
+
+def pytest_collection_finish() -> None:
+    """All tests and what they import is here to stay: to look through it for garbage takes half a second each time."""
+    gc.freeze()
 
 
 def problems_of(action: Callable[[], object]) -> list[str]:
