@@ -59,6 +59,12 @@ samples:
 FLOW = "powders.glass_beads.simulation.flow_coefficient"
 
 
+@pytest.fixture(autouse=True)
+def no_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What `plan` says of the arm's ways, which are planned anew for each lab, is told elsewhere (`test_ways`)."""
+    monkeypatch.setattr("scuhand_bt.api.labs.ways_lacking", lambda *_: [])
+
+
 @pytest.fixture
 def setup(lab_folder: LabFolder) -> Setup:
     return Setup(lab_folder.write("recipes/two.yaml", RECIPE), lab_folder.folder)
@@ -1130,11 +1136,14 @@ def test_a_sample_that_never_failed_in_a_few_trials_is_not_warned_of(setup: Setu
     assert odds_of(plan, [fake(0, 600.0, "ab")]).unlikely == ["c"]
 
 
-def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, command: Call, tmp_path: Path) -> None:
+def test_the_command_tells_the_odds_and_writes_every_sample(
+    setup: Setup, command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scuhand_bt.study, "executor_of", lambda *_: nullcontext(Inline()))
     vary = tmp_path / "vary.yaml"
     vary.write_text(f"{{design: grid, draws: 2, vary: {{{FLOW}: {{from: 40, to: 150}}}}}}", encoding="utf-8")
     rows, kept = tmp_path / "rows.csv", tmp_path / "s.sqlite"
-    asked = ("study", setup.recipe, "--trials", 2, "--vary", vary, "--store", kept, "-o", rows, "--workers", 1)
+    asked = ("study", setup.recipe, "--trials", 2, "--vary", vary, "--store", kept, "-o", rows)
     found = json.loads(command(*asked, "--json").stdout)
     assert (found["draws"], found["trials"]) == (2, 4)
     assert found["indices"]["duration_s"][FLOW]["rank"] == pytest.approx(-1.0)

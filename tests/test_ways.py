@@ -69,6 +69,18 @@ def line_with(lab: LabFolder, text: str) -> int:
     return next(number for number, line in enumerate(lines, 1) if text in line)
 
 
+def strokes_where(monkeypatch: pytest.MonkeyPatch, possible: Callable[[str, dict[str, Point]], bool]) -> None:
+    """Strokes are possible where that says so, by the station's name and where all stations are; other ways all are."""
+
+    def swing_and_out(motion: Any, cell: CellSpec, source: Source, *_: Any, is_brief: bool) -> float:
+        if not possible(source.station, {name: one.position_mm for name, one in cell.stations.items()}):
+            raise SkillFailed(Code.ARM_NO_PATH, "none")
+        return 4.0
+
+    monkeypatch.setattr(ways, "swing_and_out", swing_and_out)
+    monkeypatch.setattr(MotionPlanner, "prepare", lambda *_: None)
+
+
 @pytest.mark.slow
 def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks_for_one(lab: LabFolder) -> None:
     stands(lab, ROOF)
@@ -91,7 +103,10 @@ def test_reach_tells_of_the_strokes_that_the_skill_makes_in_its_directions() -> 
     assert [bool(one.why_not) for one in looked_at] == [True, True, True, True, False]
 
 
-def test_a_park_in_a_zone_is_told_where_it_is_as_no_container_would_ever_come(lab: LabFolder) -> None:
+def test_a_park_in_a_zone_is_told_where_it_is_as_no_container_would_ever_come(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    strokes_where(monkeypatch, lambda *_: True)
     cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
     lab.write("robot/cell.yaml", re.sub(r"(name: pan, .*)}", r"\1, yaw: 30 deg}", cell))
     for _ in range(2):  # a check that passed is remembered
@@ -100,8 +115,11 @@ def test_a_park_in_a_zone_is_told_where_it_is_as_no_container_would_ever_come(la
         assert problem.mark.line == line_with(lab, "park: ")
 
 
-def test_a_zone_of_the_changer_that_is_not_about_the_pan_is_told(lab: LabFolder) -> None:
+def test_a_zone_of_the_changer_that_is_not_about_the_pan_is_told(
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With a wrong sign in its place nothing kept the arm from where containers come and go, and nobody said so."""
+    strokes_where(monkeypatch, lambda *_: True)
     cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
     assert not found(lab, "pan-in-no-zone")
     behind = re.sub(r"(name: pan, .* at: \[)345 mm", r"\1-345 mm", cell)
@@ -115,9 +133,10 @@ def test_a_zone_of_the_changer_that_is_not_about_the_pan_is_told(lab: LabFolder)
 
 
 def test_a_skill_that_commands_the_changer_and_leases_a_zone_elsewhere_is_told_also_after_a_check_that_passed(
-    lab: LabFolder,
+    lab: LabFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That others lease the right one kept nobody out of the pan while this one brought a container."""
+    strokes_where(monkeypatch, lambda *_: True)
     cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
     door = "  - {name: door, box: [50 mm, 50 mm, 50 mm], at: [-200 mm, 300 mm, 40 mm]}\n"
     lab.write("robot/cell.yaml", cell.replace("geometry:\n", door + "geometry:\n"))
@@ -157,6 +176,7 @@ def test_only_zones_that_the_cell_has_and_the_changer_keeps_have_to_be_about_the
 def test_a_pass_of_a_program_that_did_not_look_for_it_hides_nothing(
     lab: LabFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    strokes_where(monkeypatch, lambda *_: True)
     cell = (lab.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
     lab.write("robot/cell.yaml", re.sub(r"(name: pan, .*)}", r"\1, yaw: 30 deg}", cell))
     with monkeypatch.context() as before:
@@ -288,18 +308,6 @@ def test_two_mortars_that_stand_badly_are_proposed_places_at_once(lab: LabFolder
     assert re.search(r"mortar_bay\b.*; .*mortar_bay_2\b", why), "why, of both"
     assert follow(lab, message) == ["mortar_bay", "mortar_bay_2"]
     assert blocked(lab) == []
-
-
-def strokes_where(monkeypatch: pytest.MonkeyPatch, possible: Callable[[str, dict[str, Point]], bool]) -> None:
-    """Strokes are possible where that says so, by the station's name and where all stations are; other ways all are."""
-
-    def swing_and_out(motion: Any, cell: CellSpec, source: Source, *_: Any, is_brief: bool) -> float:
-        if not possible(source.station, {name: one.position_mm for name, one in cell.stations.items()}):
-            raise SkillFailed(Code.ARM_NO_PATH, "none")
-        return 4.0
-
-    monkeypatch.setattr(ways, "swing_and_out", swing_and_out)
-    monkeypatch.setattr(MotionPlanner, "prepare", lambda *_: None)
 
 
 def test_a_place_that_two_mortars_would_have_is_proposed_to_one_and_another_to_the_other(
