@@ -32,13 +32,13 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.own_modules import lab_modules, plant_files
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.study.change import changed, files_hash, modules_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import Found, diff, is_better, optimised
-from scuhand_bt.study.own_modules import lab_modules, plant_files
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.store import open_store

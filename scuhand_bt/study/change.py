@@ -21,8 +21,8 @@ import yaml
 from scuhand_bt.lab import CELL_FILE
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.expansion import tables_named
+from scuhand_bt.run.own_modules import digests, lab_modules, plant_files
 from scuhand_bt.run.resume import lab_files
-from scuhand_bt.study.own_modules import lab_modules, plant_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
@@ -45,8 +45,7 @@ def modules_hash(plant: str | None, lab: Path) -> str:
     with suppress(OSError):  # the first dry run says what is wrong with it
         if not (files := (plant_files(plant) if plant is not None else {}) | lab_modules(lab)):
             return ""
-        digests = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
-        return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(digests(files), sort_keys=True).encode()).hexdigest()
     return ""
 
 
