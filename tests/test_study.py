@@ -245,6 +245,17 @@ def test_modules_of_ones_own_that_a_lab_is_made_of_and_were_changed_are_tried_an
     assert set(lab_modules(setup.lab).values()) == {mine, deep}
 
 
+def test_what_a_skill_imports_from_beside_the_labs_folders_is_in_the_lab_of_each_draw(setup: Setup) -> None:
+    (setup.lab / "pauses").mkdir()
+    for file in ("__init__.py", "long.py"):
+        (setup.lab / "pauses" / file).write_text("LONG_S = 1.0\n", encoding="utf-8")
+    skill = setup.lab / "skills" / "park.py"
+    text = skill.read_text(encoding="utf-8")
+    skill.write_text(f"{text}\nfrom ..pauses.long import LONG_S\n", encoding="utf-8")
+    with changed(setup.recipe, setup.lab, ((FLOW, "20"),)) as (_, lab):
+        assert load_lab(lab).library.skills["park"].typical_s > 0.0
+
+
 def test_what_physics_of_ones_own_import_is_theirs(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
