@@ -41,7 +41,7 @@ from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import Found, diff, is_better, optimised
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
-from scuhand_bt.study.store import open_store
+from scuhand_bt.study.store import RECIPES_KEPT, open_store
 from scuhand_bt.study.table import write_table
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial, trial
 from scuhand_bt.study.vary import Vary, check_setups, goes_with, means_of, read_vary
@@ -143,6 +143,15 @@ def test_a_plan_tries_what_it_has_not_tried_of_these_files(
     assert plan(3) == (3, odds)
     kept = list((tmp_path / "caches" / "scuhand_bt" / "trials").iterdir())
     assert len(kept) == 1, "what was tried of other files is not tried again"
+    for number in range(RECIPES_KEPT + 3):
+        (of_another := kept[0].with_name(f"{number}-another.sqlite")).touch()
+        os.utime(of_another, (1000.0 + number, 1000.0 + number))
+    assert plan(3) == (0, odds)
+    there = {path.name for path in kept[0].parent.iterdir()}
+    assert len(there) == RECIPES_KEPT
+    assert {kept[0].name, "66-another.sqlite"} < there, "the oldest have gone"
+    for path in set(kept[0].parent.iterdir()) - set(kept):
+        path.unlink()
     with monkeypatch.context() as another:
         another.setattr("scuhand_bt.study.store.source_digest", lambda: "of another program")
         assert plan(3) == (3, odds)
