@@ -253,6 +253,9 @@ class Hands:
             yield Wake(ready_s)
         return choices[0]
 
+    def expect(self) -> None:
+        pass
+
     def ask_until(
         self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
     ) -> Steps[str]:

@@ -186,10 +186,18 @@ def test_all_that_was_learnt_of_a_powder_is_shown_and_told_as_json(command: Call
         ["glass_beads/L7", "61.3", "0.62", "0.11", "0.28", "2.75", "37%", "4.2", "0.9", "41%", "17", "doses"]
     )
     told = json.loads(command("powders", "--json", "--lab", lab_folder.folder).stdout)
-    assert told["beliefs"][-1] == row
+    assert told["beliefs"][-1] == row | {"too_old": False}
     guesses = {one["lot"]: (one["says"], one["doses"]) for one in told["beliefs"][:-1]}
     assert guesses == dict.fromkeys(lab_folder.load().library.powders, ("robot/powders.yaml", 0))
-    scoops = {"lot": row["lot"], "mortar": "m", "share": 0.5, "says": "dry", "simulated": True, "at": row["at"]}
+    scoops = {
+        "lot": row["lot"],
+        "mortar": "m",
+        "share": 0.5,
+        "says": "dry",
+        "simulated": True,
+        "at": row["at"],
+        "too_old": False,
+    }
     assert told["scoops"] == [scoops]
 
 
@@ -289,6 +297,8 @@ def test_how_a_lot_flowed_half_a_year_ago_is_a_first_guess_again(
     assert cell.powder_beliefs == {"glass_beads/L7": belief.model_copy(update={} if is_known else {"doses": 0})}
     told = command("powders", "--lab", lab_folder.folder).stdout
     assert ("more than 180 days ago: a first guess again" in told) == (not is_known)
+    told = json.loads(command("powders", "--json", "--lab", lab_folder.folder).stdout)
+    assert told["beliefs"][-1]["too_old"] == (not is_known), "it is shown, and believed no more"
 
 
 @pytest.mark.parametrize(("days", "is_known"), [(29.9, True), (30.1, False)])

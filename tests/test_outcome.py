@@ -268,6 +268,13 @@ def test_a_drift_that_the_run_has_seen_counts_by_how_long_a_dose_took() -> None:
     assert fast.detail == "the balance's zero was seen to drift by 0.040 mg/s in this run, and may have in this dose"
 
 
+def test_a_drift_longer_than_from_one_look_at_the_pan_to_the_next_would_have_shown_in_the_dose_itself() -> None:
+    """Doses of a quarter of an hour were uncertain by 30 to 200 mg as a few milligrams had dripped in another one."""
+    had = confirmed(result(dose(50.4).model_copy(update={"lasted_s": 900.0})), gone(glass_beads=50.4))
+    seen = doubted(had, 0.0, 0.01)
+    assert seen.uncertainty_mg == pytest.approx(math.hypot(0.1, 2.15 * 0.01 * 38.0))
+
+
 def test_without_a_step_or_while_the_container_still_stands_a_result_is_as_it_was() -> None:
     had = result(dose(50.4))
     assert doubted(had, 3.0, 0.0) is had

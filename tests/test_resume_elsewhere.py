@@ -15,6 +15,20 @@ defaults: {container: xrd_holder, source: beads, mass: 30 mg}
 samples: [{id: a}, {id: b}]
 """
 
+LONG = """
+from pauses_of_mine import LONG_S
+from scuhand_bt.skill import Cell, Skill, Steps
+
+
+class Long(Skill[None]):
+    \"\"\"A pause.\"\"\"
+
+    typical_s = LONG_S
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from cell.wait(LONG_S)
+"""
+
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
@@ -56,6 +70,23 @@ def test_what_an_editor_leaves_is_no_change_of_the_lab(lab: Path, command: Call,
         (lab / name).write_text("tree: [\n")
     code, _, err = command("resume", "last", "--lab", lab)
     assert (code, err) == (0, "")
+
+
+def test_a_module_beside_the_lab_that_a_skill_is_made_of_is_a_part_of_the_run(
+    tmp_path: Path, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    mine = tmp_path / "pauses_of_mine.py"
+    mine.write_text("LONG_S = 1.0\n", encoding="utf-8")
+    lab = make_lab(tmp_path / "lab", skills__long=LONG)
+    (lab / ".scuhand").mkdir()
+    dry_run(lab / ".scuhand", DOSES, lab=lab, stop_at=30)
+    mine.write_text("LONG_S = 2.0\n", encoding="utf-8")
+    code, _, err = command("resume", "last", "--lab", lab)
+    assert code == 2
+    assert "your own module pauses_of_mine has changed" in err
+    mine.write_text("LONG_S = 1.0\n", encoding="utf-8")
+    assert command("resume", "last", "--lab", lab).returncode == 0
 
 
 def test_a_new_workflow_is_still_a_change(lab: Path, command: Call) -> None:

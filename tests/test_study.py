@@ -32,16 +32,16 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.own_modules import lab_modules, plant_files
 from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.study.change import changed, files_hash, modules_hash, with_value
 from scuhand_bt.study.odds import Chance, odds_of
 from scuhand_bt.study.optimise import Found, diff, is_better, optimised
-from scuhand_bt.study.own_modules import lab_modules, plant_files
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.some_cell import SomeCell
-from scuhand_bt.study.store import open_store
+from scuhand_bt.study.store import RECIPES_KEPT, open_store
 from scuhand_bt.study.table import write_table
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial, trial
 from scuhand_bt.study.vary import Vary, check_setups, goes_with, means_of, read_vary
@@ -149,6 +149,15 @@ def test_a_plan_tries_what_it_has_not_tried_of_these_files(
     assert plan(3) == (3, odds)
     kept = list((tmp_path / "caches" / "scuhand_bt" / "trials").iterdir())
     assert len(kept) == 1, "what was tried of other files is not tried again"
+    for number in range(RECIPES_KEPT + 3):
+        (of_another := kept[0].with_name(f"{number}-another.sqlite")).touch()
+        os.utime(of_another, (1000.0 + number, 1000.0 + number))
+    assert plan(3) == (0, odds)
+    there = {path.name for path in kept[0].parent.iterdir()}
+    assert len(there) == RECIPES_KEPT
+    assert {kept[0].name, "66-another.sqlite"} < there, "the oldest have gone"
+    for path in set(kept[0].parent.iterdir()) - set(kept):
+        path.unlink()
     with monkeypatch.context() as another:
         another.setattr("scuhand_bt.study.store.source_digest", lambda: "of another program")
         assert plan(3) == (3, odds)
@@ -249,6 +258,17 @@ def test_modules_of_ones_own_that_a_lab_is_made_of_and_were_changed_are_tried_an
         skill.write_text(f"{text}\nfrom {dots}module_of_mine import X\n", encoding="utf-8")
     assert tried_anew(setup, tmp_path / "s.sqlite", deep, ("X = 1", "X = 1", "X = 2")) == [True, False, True]
     assert set(lab_modules(setup.lab).values()) == {mine, deep}
+
+
+def test_what_a_skill_imports_from_beside_the_labs_folders_is_in_the_lab_of_each_draw(setup: Setup) -> None:
+    (setup.lab / "pauses").mkdir()
+    for file in ("__init__.py", "long.py"):
+        (setup.lab / "pauses" / file).write_text("LONG_S = 1.0\n", encoding="utf-8")
+    skill = setup.lab / "skills" / "park.py"
+    text = skill.read_text(encoding="utf-8")
+    skill.write_text(f"{text}\nfrom ..pauses.long import LONG_S\n", encoding="utf-8")
+    with changed(setup.recipe, setup.lab, ((FLOW, "20"),)) as (_, lab):
+        assert load_lab(lab).library.skills["park"].typical_s > 0.0
 
 
 def test_what_physics_of_ones_own_import_is_theirs(

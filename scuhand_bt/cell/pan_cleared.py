@@ -8,7 +8,6 @@ from scuhand_bt.cell.weighing import (
     changed,
     is_to_be_weighed_again,
     note_again,
-    note_moved,
     shown_step,
     watched,
     weigh_changed,
@@ -17,7 +16,7 @@ from scuhand_bt.cell.weighing import (
 )
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Hands, StableMean
-from scuhand_bt.dosing.bracket import AGREEMENT, Closed, Net, close, dose_between, total
+from scuhand_bt.dosing.bracket import AGREEMENT, Closed, Net, close, dose_between, moved_mg, total
 from scuhand_bt.dosing.characteristic import is_frozen
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
 from scuhand_bt.events.weighings import BracketClosed, ContainerLifted, LotDosed, Reweighed
@@ -89,13 +88,13 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
     yield from weigh_broken_off(cell)
     bracket = believed.bracket
     if bracket is not None and bracket.holds and bracket.lifted is None:
-        lifted = yield from weigh_left(cell)
+        lifted = yield from weigh_left(cell, bracket.last)
         stood_still = stands_still(cell)
         believed.lifted(weighing_of(lifted))
         cell.record.event(ContainerLifted(**dict(lifted.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes
         # What has dripped, or a force that grows with the container, and did while it was dosed.
-        crept_mg = note_moved(cell, bracket.last, weighing_of(lifted))
+        crept_mg = max(0.0, moved_mg(bracket.last, weighing_of(lifted), digit_mg))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket
     container = believed.pan

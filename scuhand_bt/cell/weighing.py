@@ -11,6 +11,7 @@ from scuhand_bt.clock import Steps, Wake, pause
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import (
     HARDLY,
+    LONGEST_WATCH_S,
     SURELY,
     Gross,
     apart_mg,
@@ -105,6 +106,26 @@ def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
     return max(0.0, moved)
 
 
+def look_after_gain(cell: Cell, before: Gross, last: Gross, mean: StableMean) -> Steps[tuple[Gross, StableMean]]:
+    """As `note_moved` of the weighing before and the last one, `mean`; what has gained since is looked at once more,
+    and is then told by these two.
+
+    What had come to rest, has gained, and rests again has got a drop, and no drift that any dose may have had: that
+    goes on, as what creeps does.
+    """
+    now, digit_mg = weighing_of(mean), cell.spec.balance.readability_mg
+    if moved_mg(before, now, digit_mg) <= 0.0:
+        note_moved(cell, before, now)
+        return last, mean
+    yield from pause(cell.clock, LONGEST_WATCH_S)
+    again = yield from cell.right_of_way.stable_mean()
+    later = weighing_of(again)
+    if abs(later.gross_mg - now.gross_mg) > HARDLY * apart_mg(now, later, digit_mg):
+        note_moved(cell, before, now)
+        note_moved(cell, now, later)
+    return now, again
+
+
 def weigh_before_dose(cell: Cell, allowed_mg: float) -> Steps[tuple[Gross, StableMean]]:
     """Two weighings that agree of what stands there, before more comes into it: they tell the drift by then.
 
@@ -121,8 +142,8 @@ def weigh_before_dose(cell: Cell, allowed_mg: float) -> Steps[tuple[Gross, Stabl
         both, look_mg = together(last, weighing_of(mean)), allowed_mg * LOOK_S / PAUSE_S
         last, mean = yield from weigh_until_still(cell, both, look_mg, LOOK_S, may_gain=holds_powder)
     if holds_powder:
+        last, mean = yield from look_after_gain(cell, before, last, mean)
         now = weighing_of(mean)
-        note_moved(cell, before, now)
         gained_mg = now.gross_mg - before.gross_mg
         if gained_mg > HARDLY * apart_mg(before, now, digit_mg):
             cell.believed.dripped(gained_mg)
@@ -193,8 +214,8 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     return mean
 
 
-def weigh_left(cell: Cell) -> Steps[StableMean]:
-    """The gross of what the hand has left, with all that fell until then.
+def weigh_left(cell: Cell, before: Gross) -> Steps[StableMean]:
+    """The gross of what the hand has left, with all that fell until then; what that is more or less is remembered.
 
     A balance that is late shows what was before, and calls it stable: it is weighed again once it must show what is.
     """
@@ -207,6 +228,7 @@ def weigh_left(cell: Cell) -> Steps[StableMean]:
         now = weighing_of(mean)
         if abs(now.gross_mg - last.gross_mg) <= 2.0 * apart_mg(last, now, cell.spec.balance.readability_mg):
             break
+    _, mean = yield from look_after_gain(cell, before, before, mean)
     return mean
 
 

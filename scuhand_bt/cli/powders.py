@@ -2,7 +2,6 @@
 forget it.
 """
 
-from collections.abc import Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +12,7 @@ from scuhand_bt.cli.listing import Listing
 from scuhand_bt.cli.shared import JsonFlag, LabOption, app, lab_state, out, print_json, the_lab, unknown
 
 if TYPE_CHECKING:
-    from scuhand_bt.api.books import LearntYield, PowderBelief, Taught
+    from scuhand_bt.api.books import PowderBelief, Taught
 
 group = typer.Typer(invoke_without_command=True)
 app.add_typer(group, name="powders")
@@ -45,14 +44,20 @@ def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = F
     state = lab_state(loaded)
     learnt = [one for simulated in (False, True) for one in state.powders(simulated=simulated).items()]
     scoops = [one for simulated in (False, True) for one in state.yields(simulated=simulated).items()]
+    from scuhand_bt.api.books import FLOW_BELIEVED_FOR, YIELD_BELIEVED_FOR
+
+    now = datetime.now().astimezone()
+    old_flows = {name for name, one in learnt if one.is_older_than(FLOW_BELIEVED_FOR, now)}
+    old_yields = {of for of, one in scoops if one.is_older_than(YIELD_BELIEVED_FOR, now)}
     if as_json:
         guesses = [_values(name, powder.belief, None) for name, powder in loaded.library.powders.items()]
-        beliefs = guesses + [_values(name, one.belief, one) for name, one in learnt]
-        brought = [{"lot": lot, "mortar": mortar, "share": one.share, **_taught(one)} for (lot, mortar), one in scoops]
+        beliefs = guesses + [_values(name, one.belief, one) | {"too_old": name in old_flows} for name, one in learnt]
+        brought = [
+            {"lot": lot, "mortar": mortar, "share": one.share, **_taught(one), "too_old": (lot, mortar) in old_yields}
+            for (lot, mortar), one in scoops
+        ]
         print_json({"beliefs": beliefs, "scoops": brought})
         return
-    from scuhand_bt.api.books import FLOW_BELIEVED_FOR
-
     table = Listing("powder lot", *FIGURES, "by")
     for name, powder in loaded.library.powders.items():
         table.add_row(Text(name), *_belief_cells(powder.belief), "first guess", style="dim")
@@ -62,25 +67,15 @@ def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = F
     if learnt:
         origins = Listing("powder lot", "learnt", "at")
         for name, one in learnt:
-            is_old = one.is_older_than(FLOW_BELIEVED_FOR, datetime.now().astimezone())
-            old = f", more than {FLOW_BELIEVED_FOR.days} days ago: a first guess again" if is_old else ""
+            old = f", more than {FLOW_BELIEVED_FOR.days} days ago: a first guess again" if name in old_flows else ""
             origins.add_row(Text(name), Text(one.origin), f"{one.at}{old}")
         out.print("", origins, sep="\n")
     if scoops:
-        out.print("", _scoops(scoops), sep="\n")
-
-
-def _scoops(scoops: "Sequence[tuple[tuple[str, str], LearntYield]]") -> Listing:
-    """What scoops bring of what is expected of them."""
-    from scuhand_bt.api.books import YIELD_BELIEVED_FOR
-
-    table = Listing("scoops of", "in", "bring of what is expected", "learnt", "at")
-    now = datetime.now().astimezone()
-    for (lot, mortar), learnt in scoops:
-        is_old = learnt.is_older_than(YIELD_BELIEVED_FOR, now)
-        told = f"{learnt.share:.0%}{f', older than {YIELD_BELIEVED_FOR.days} days: learnt anew' if is_old else ''}"
-        table.add_row(Text(lot), Text(mortar), told, Text(learnt.origin), learnt.at)
-    return table
+        brings = Listing("scoops of", "in", "bring of what is expected", "learnt", "at")
+        for of, brought_by in scoops:
+            old = f", older than {YIELD_BELIEVED_FOR.days} days: learnt anew" if of in old_yields else ""
+            brings.add_row(*map(Text, of), f"{brought_by.share:.0%}{old}", Text(brought_by.origin), brought_by.at)
+        out.print("", brings, sep="\n")
 
 
 @group.command("forget")

@@ -351,6 +351,10 @@ SEEN = "seen"
 class Operator(Protocol):
     """The person at the cell, if there is one."""
 
+    def expect(self) -> None:
+        """Something is going to be asked soon, which the run has told: a simulated person sets out."""
+        ...
+
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         """Ask and wait for one of `choices`; SkillFailed operator.absent when nobody is there."""
         ...

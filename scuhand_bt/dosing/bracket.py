@@ -34,6 +34,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from scuhand_bt.dosing.controller import LONGEST_UNWEIGHED_S
+
 AGREEMENT = 4.0
 """Standard deviations of their difference by which two results of one thing may be apart: by chance 1 in 16 000 are."""
 HARDLY, RARELY, SURELY = 2.0, 2.5, 3.0
@@ -46,6 +48,8 @@ SPAN_SHARE = 1e-5
 WATCHED_SHARE = 0.25
 """Of the tolerance: the pan is watched after a dose until the drift in it is known to this."""
 SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
+HIDES_S = LONGEST_UNWEIGHED_S + LONGEST_WATCH_S
+"""From one look at the drift of a dose to the end of the next."""
 FELL_READINGS = 5
 """A lump that lands weighs more for a moment; a median of so many readings does not show it."""
 ADJUSTED = 1.5
@@ -134,10 +138,11 @@ def fallen_mg(readings_mg: Sequence[float]) -> float:
 def unseen_mg(stepped_mg: float, drift_mg_per_s: float, lasted_s: float) -> float:
     """What the largest step and drift that a run has seen add to the standard uncertainty of a dose that hides others.
 
+    A drift that goes on for longer than `HIDES_S` shows when the dose is interrupted, and is in its own uncertainty.
     Each is a standard deviation by few observations: as for two degrees of freedom, 4.30 of it cover what 2 of a known
     one do (JCGM 100:2008, G.3).
     """
-    return math.hypot(stepped_mg, drift_mg_per_s * lasted_s) * 4.30 / 2.0
+    return math.hypot(stepped_mg, drift_mg_per_s * min(lasted_s, HIDES_S)) * 4.30 / 2.0
 
 
 def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:

@@ -244,6 +244,19 @@ class Settled(Event):
 # --- the person at the cell
 
 
+class PersonSoon(Event):
+    """A person is going to be asked for something as the next job begins, and may come meanwhile."""
+
+    KIND: ClassVar = "person_soon"
+
+    job: Text
+    """That job's name."""
+    what: Text
+
+    def __str__(self) -> str:
+        return f"a person is needed soon, at '{self.job}': {self.what}"
+
+
 class Asked(Event):
     """A person is asked."""
 
@@ -294,6 +307,7 @@ ENGINE_EVENTS: tuple[type[Event], ...] = (
     PanCompared,
     ContainerReweighed,
     Settled,
+    PersonSoon,
     Asked,
     Answered,
 )

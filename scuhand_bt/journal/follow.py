@@ -29,6 +29,7 @@ from scuhand_bt.journal.events import (
     JobEnded,
     JobResumed,
     JobStarted,
+    PersonSoon,
     RoundsDone,
     TreeNode,
     WorkflowTree,
@@ -42,7 +43,7 @@ from scuhand_bt.journal.waiting import Waiting
 
 _OF_RUN = (
     *(RunBegun, Resumed, WorkflowTree, JobStarted, JobEnded, SampleResult),
-    *(Asked, Answered, Paused, Continued, Ended),
+    *(PersonSoon, Asked, Answered, Paused, Continued, Ended),
 )
 _WEIGHINGS: tuple[type[Event], ...] = (
     *(ContainerPlaced, BracketClosed),
@@ -129,6 +130,8 @@ class Follower:
     """Run time of that."""
     waiting: Waiting = field(default_factory=Waiting)
     """The question that waits."""
+    soon: PersonSoon | None = None
+    """What a person is going to be asked for."""
     is_paused: bool = False
     ended: Ended | None = None
     time_s: float = 0.0
@@ -201,6 +204,7 @@ class Follower:
             case JobStarted():
                 self.job, self.job_ended, self.reading = event, None, None
                 self.actions, self.decided, self.over, self.course = {}, {}, set(), []
+                self.soon = None if self.soon is not None and self.soon.job == event.name else self.soon
             case JobResumed():
                 self.job_ended = None
                 self.samples.pop((self.job and self.job.sample) or "", None)  # one that had stopped the run
@@ -226,13 +230,15 @@ class Follower:
                     self.told_s[event.id] = self.time_s, self.standing.until(self.time_s)
             case Weighing() | ContainerPlaced() | BracketClosed():
                 self._weigh_by(event)
+            case PersonSoon():
+                self.soon = event
             case Paused():
                 self.is_paused = True
                 self.standing.paused(self.time_s)
             case Continued():
                 self._goes_on()
             case Ended():
-                self.ended = event
+                self.ended, self.soon = event, None
                 self._goes_on()
             case Resumed():
                 self.ended = None

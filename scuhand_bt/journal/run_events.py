@@ -62,6 +62,8 @@ class RunBegun(Event):
     """Its folder."""
     lab_files: dict[Text, str] = Field(default_factory=dict)
     """SHA-256 of each of the lab's files."""
+    modules: dict[Text, str] | None = None
+    """SHA-256 of each module beside the lab that its skills and drivers are made of; older journals name none."""
     cell: Text
     simulated: bool
     unattended: bool = False

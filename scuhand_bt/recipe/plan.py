@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
 
@@ -82,6 +82,15 @@ class Plan:
     @property
     def duration_s(self) -> float:
         return max(self.done_s.values(), default=0.0)
+
+    def soon(self, number: int) -> PersonNeeded | None:
+        """What a person is needed for at the job after this one, if for nothing at this one.
+
+        Who is told as this one begins can have come by then.
+        """
+        needed = [[one for one in self.persons if one.job == job.name] for job in self.jobs[number:][:2]]
+        here, after = needed if len(needed) == 2 else ([], [])
+        return replace(after[0], what="; ".join(one.what for one in after)) if after and not here else None
 
     @property
     def swaps(self) -> int:

@@ -188,7 +188,10 @@ def reached(composition: Composition, doses: Mapping[str, tuple[float, float]], 
 
     Not known where that is not each of its lots, and no other.
 
-    u²(c_e) = Σ_j ((S A_ej - c_e A_j) / Σ N)² ((u(m_j) / m_j)² + u_j²) n_j²,   A_j = Σ_e A_ej
+    u²(c_e) = (Σ_j |G_ej| n_j u(m_j) / m_j)² + Σ_j (G_ej n_j u_j)²,   G_ej = (S A_ej - c_e A_j) / Σ N,   A_j = Σ_e A_ej
+
+    Errors of assays are independent. Those of the doses add up: adjusted to what all of the container has gained, they
+    are off against each other, and by as much as that nobody has kept.
     """
     powders = composition.powders
     is_whole = doses.keys() == {powder.lot for powder in powders}
@@ -201,13 +204,13 @@ def reached(composition: Composition, doses: Mapping[str, tuple[float, float]], 
     elements = []
     for one in composition.elements:
         count = asked * sum(atoms[one.element]) / whole
-        parts = []
+        of_doses, of_assays = 0.0, []
         for powder in powders:
             mass_mg, u_mg = doses[powder.lot]
             gain = (asked * powder.counts.get(one.element, 0.0) - count * sum(powder.counts.values())) / whole
-            of_assay = mass_mg * powder.assay_uncertainty
-            parts.append(gain * math.hypot(u_mg, of_assay) / powder.mg_per_mmol)
-        elements.append(one.model_copy(update={"reached": count, "uncertainty": math.hypot(*parts)}))
+            of_doses += abs(gain) * u_mg / powder.mg_per_mmol
+            of_assays.append(gain * mass_mg * powder.assay_uncertainty / powder.mg_per_mmol)
+        elements.append(one.model_copy(update={"reached": count, "uncertainty": math.hypot(of_doses, *of_assays)}))
     verdict = _verdict(elements, composition.tolerance, is_closed=is_closed)
     return composition.model_copy(update={"elements": tuple(elements), "verdict": verdict})
 

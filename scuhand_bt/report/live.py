@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.live import Live
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.journal.events import PersonSoon
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.pace import pace
 from scuhand_bt.journal.plain import plain_values
@@ -156,6 +157,7 @@ class LiveView(BatchObserver):
             job=_about(*self._job) if self._job is not None else "",
             tree=list(nodes_of(self._root)) if self._root is not None else [],
             readings=self._readings(),
+            soon=self._soon(),
             state=self._state(),
             keys=KEYS,
             question=Asked(asked.text, asked.choices, asked.at) if asked is not None else None,
@@ -178,6 +180,12 @@ class LiveView(BatchObserver):
             said = in_grams(reading.value_mg, is_stable=reading.stable)
             said += f", net {format_mass(reading.value_mg - empty_mg)}" if empty_mg is not None else ""
         return f"{said}; valve {self._cell.hand.opening_mm:.2f} mm"
+
+    def _soon(self) -> str:
+        """What a person is going to be asked for at the next job."""
+        under_way = self._job[0] if self._job is not None else None
+        person = self._plan.soon(self._plan.jobs.index(under_way)) if under_way in self._plan.jobs else None
+        return str(PersonSoon(job=person.job or "", what=person.what)) if person is not None else ""
 
     def _state(self) -> str:
         """What was asked of the run."""

@@ -74,6 +74,8 @@ class Shown:
     tree: Sequence[Node] = ()
     readings: str = ""
     """The balance and the valve."""
+    soon: str = ""
+    """What a person is going to be asked for."""
     state: str = ""
     """What was asked of the run; empty where it just goes on."""
     keys: str = ""
@@ -119,6 +121,8 @@ class Picture:
         yield _one_line(shown.job, "bold")
         if shown.readings:
             yield _one_line(shown.readings)
+        if shown.soon:
+            yield _one_line(shown.soon, "yellow")
 
     def _below(self) -> Iterator[RenderableType]:
         shown = self._shown

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from scuhand_bt.events.doses import Dose, Pulsed, ValueRecorded
-from scuhand_bt.journal.events import Answered, Asked
+from scuhand_bt.journal.events import Answered, Asked, PersonSoon
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, RunBegun
 from scuhand_bt.quantity import format_mass
@@ -79,6 +79,8 @@ def _event(kind: str, values: Mapping[str, Any]) -> str:
             return f"dose: {reached} ± {event.uncertainty_mg:.2f} mg, {event.verdict} ({event.controller})"
         case ValueRecorded():
             return f"recorded: {_given(event.name, event.value, event.unit)}"
+        case PersonSoon():
+            return str(event)
         case Asked():
             return f"asked: {event.question} [{'/'.join(event.choices)}]"
         case Answered():

@@ -38,6 +38,7 @@ def shown_of(now: Follower, run: RunBegun, balance: tuple[float, float, bool] | 
         job=about(now, run),
         tree=tree_of(now),
         readings=in_grams(balance[1], is_stable=balance[2]) if balance is not None else "",
+        soon=str(now.soon or ""),
         state=f"Paused; `scuhand-bt resume {name}` continues" if now.is_paused else "",
         keys=f"scuhand-bt answer {name}" if asked is not None else keys,
         question=asked,

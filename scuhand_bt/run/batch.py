@@ -11,7 +11,7 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.devices.liveness import Hung
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import JobEnded, JobStarted
+from scuhand_bt.journal.events import JobEnded, JobStarted, PersonSoon
 from scuhand_bt.journal.history import STOPPED, History, read_history
 from scuhand_bt.journal.results import Chosen, SampleVerdict, SoFar
 from scuhand_bt.journal.run_events import Broken, Ended
@@ -139,6 +139,9 @@ class Batch:
                 return _ended(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "as was asked for")
             if job.sample is not None or not self._was_over(job.name, 1):
                 self._observer.job_started(job, number)
+            if (person := self._plan.soon(number)) is not None and not self._was_over(job.name, 1):
+                self._journal.event(PersonSoon(job=person.job or "", what=person.what))
+                self._cell.operator.expect()
             if job.sample is None:
                 ending = self._run_service(job, 1)
             else:

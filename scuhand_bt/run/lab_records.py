@@ -13,7 +13,7 @@ from pathlib import Path
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.events.entry import Event, Note
-from scuhand_bt.journal.events import Asked
+from scuhand_bt.journal.events import Asked, PersonSoon
 from scuhand_bt.journal.run_events import Paused, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab
@@ -113,6 +113,8 @@ class LabRecords:
             self._tell("paused")
         elif isinstance(event, Asked) and self._is_waited_for:
             self._tell("needs person", event.question, choices=event.choices)
+        elif isinstance(event, PersonSoon) and self._is_waited_for:
+            self._tell("person soon", str(event))
 
     @property
     def _is_waited_for(self) -> bool:

@@ -25,7 +25,7 @@ from scuhand_bt.clock import wall_time
 LONGEST_S = 10.0
 """Wall time that one notice may take."""
 
-NoticeState = Literal["needs person", "paused", "stopped", "ended"]
+NoticeState = Literal["person soon", "needs person", "paused", "stopped", "ended"]
 
 
 @dataclass(frozen=True)

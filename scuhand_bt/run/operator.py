@@ -54,25 +54,34 @@ class SimulatedOperator:
         self._faults: Chances = faults or Faults()
         self.sees: Callable[[], Collection[str]] = tuple
         """What it answers where it is asked about what it can see."""
-        self._is_there = False
-        """It stands at the cell, waiting for what it is asked next."""
+        self._comes_s: float | None = None
+        """From when on it stands at the cell, called or waiting for what it is asked next; None: it was not called."""
+
+    def expect(self) -> None:
+        if self._comes_s is None:
+            self._comes_s = self._clock.now_s + self._answer_s * (1.0 - AT_HAND)
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         self._tell(Asked(question=question, choices=list(choices)))
-        yield from self._pass(self._answer_s * AT_HAND if self._is_there else self._answer_s)
-        self._is_there = False
+        self.expect()
+        yield from self._until(self._comes_s)
+        yield from self._until(self._clock.now_s + self._answer_s * AT_HAND)
+        self._comes_s = None
         return self._answered(question, choices)
 
     def ask_until(
         self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
     ) -> Steps[str]:
         self._tell(Asked(question=question, choices=list(choices)))
-        yield from self._pass(self._answer_s * (1.0 - AT_HAND))
+        at_hand_s = self._clock.now_s + self._answer_s * AT_HAND
+        self.expect()
+        yield from self._until(self._comes_s)
+        yield from self._until(at_hand_s)
         if self._faults.comes("operator.refuses", self._clock.now_s):
+            self._comes_s = None
             self._tell(Answered(question=question, answer=choices[-1]))
             return choices[-1]
         does()
-        self._is_there = True
         given_up_s = self._clock.now_s + self._answer_s
         while self._clock.now_s < given_up_s:
             if is_seen():
@@ -81,10 +90,9 @@ class SimulatedOperator:
             yield Wake(min(given_up_s, self._clock.now_s + LOOK_S))
         return self._answered(question, choices)
 
-    def _pass(self, duration_s: float) -> Steps[None]:
-        ready_s = self._clock.now_s + duration_s
-        while self._clock.now_s < ready_s:
-            yield Wake(ready_s)
+    def _until(self, time_s: float | None) -> Steps[None]:
+        while time_s is not None and self._clock.now_s < time_s:
+            yield Wake(time_s)
 
     def _answered(self, question: str, choices: Sequence[str]) -> str:
         refuses = self._faults.comes("operator.refuses", self._clock.now_s)
@@ -96,6 +104,9 @@ class SimulatedOperator:
 
 class Nobody:
     """An unattended run's operator: whatever is asked, nobody is there."""
+
+    def expect(self) -> None:
+        """Nobody sets out."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         raise SkillFailed(Code.OPERATOR_ABSENT, f"the run is unattended; it was to be asked: {question}")
@@ -125,6 +136,9 @@ class PersonOperator:
     def is_asking(self) -> bool:
         """Whether a question waits."""
         return self._questions.waiting is not None
+
+    def expect(self) -> None:
+        """Who is told otherwise comes by themselves."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         answer = yield from self._ask(question, choices, None)

@@ -1,7 +1,7 @@
 """Finding an interrupted run, and whether it may be resumed: that nothing was altered, or changed unnoticed."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import listed
 from scuhand_bt.recipe.plan import Job, Plan, recoveries, sheet_changes
 from scuhand_bt.recipe.sample import Sample
+from scuhand_bt.run.own_modules import digests, lab_modules
 
 LAB_FOLDERS = ("robot", "skills", "trees")
 
@@ -181,14 +182,19 @@ def _in_words(slots: object) -> str:
 def _changes(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
     if history.run.recipe_hash != plan.recipe.hash:
         yield f"the recipe {plan.recipe.path} or one of its tables has changed"
-    before = history.run.lab_files
-    now = lab_files(lab.folder)
+    yield from (f"the lab's {what}" for what in _differing(history.run.lab_files, lab_files(lab.folder)))
+    if history.run.modules is not None:
+        now = digests(lab_modules(lab.folder))
+        yield from (f"your own module {what}" for what in _differing(history.run.modules, now))
+    if history.run.version != scuhand_bt.__version__:
+        yield f"scuhand_bt {history.run.version} became {scuhand_bt.__version__}"
+
+
+def _differing(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
     for name in sorted(before.keys() | now.keys()):
         if before.get(name) != now.get(name):
             what = "was added" if name not in before else "is gone" if name not in now else "has changed"
-            yield f"the lab's {name} {what}"
-    if history.run.version != scuhand_bt.__version__:
-        yield f"scuhand_bt {history.run.version} became {scuhand_bt.__version__}"
+            yield f"{name} {what}"
 
 
 def _refused(path: Path, what: str) -> SourceError:

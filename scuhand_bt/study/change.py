@@ -21,8 +21,8 @@ import yaml
 from scuhand_bt.lab import CELL_FILE
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.expansion import tables_named
+from scuhand_bt.run.own_modules import digests, lab_modules, plant_files
 from scuhand_bt.run.resume import lab_files
-from scuhand_bt.study.own_modules import lab_modules, plant_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
@@ -45,8 +45,7 @@ def modules_hash(plant: str | None, lab: Path) -> str:
     with suppress(OSError):  # the first dry run says what is wrong with it
         if not (files := (plant_files(plant) if plant is not None else {}) | lab_modules(lab)):
             return ""
-        digests = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
-        return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(digests(files), sort_keys=True).encode()).hexdigest()
     return ""
 
 
@@ -64,6 +63,10 @@ def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, P
         for name in FOLDERS:
             if (lab / name).is_dir():
                 shutil.copytree(lab / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+        for path in lab_modules(lab).values():  # which a skill may import from beside these folders
+            if path.is_relative_to(lab) and not (at := copy / path.relative_to(lab)).exists():
+                at.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(path, at)
         real, of = recipe.parent.resolve(), lab.resolve()  # a path with `..` leads out of the copy
         beside = copy / (real.relative_to(of) if real.is_relative_to(of) else "recipes")
         beside.mkdir(parents=True, exist_ok=True)

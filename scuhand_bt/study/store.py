@@ -15,8 +15,9 @@ from scuhand_bt.program import source_digest
 from scuhand_bt.study.change import files_hash, modules_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
+RECIPES_KEPT = 64
+"""Files of trials in the user's cache, those written last: a recipe that is gone, or has another name, asks no more."""
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
-
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table'"
 
 
@@ -106,8 +107,9 @@ def last_tried(setup: Setup) -> Iterator[Store | None]:
         store = None
         with suppress(SourceError, OSError):
             store = opened.enter_context(open_store(path, setup, _Cache))
-            for before in set(folder.glob(f"{of}-*.sqlite")) - {path}:
-                before.unlink()
+            by_age = sorted(folder.glob("*.sqlite"), key=lambda one: one.stat().st_mtime, reverse=True)
+            for gone in {*folder.glob(f"{of}-*.sqlite"), *by_age[RECIPES_KEPT:]} - {path}:
+                gone.unlink()
         yield store
 
 

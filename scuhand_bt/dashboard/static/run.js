@@ -22,7 +22,7 @@ function show(told) {
   for (const row of told.rows ?? []) sample(row);
   if (told.course) course = told.course_from === 0 ? told.course : course.concat(told.course);
   last = {...last, move: null, ...told};
-  const state = told.reason ? `${told.state}: ${told.reason}` : told.state;
+  const state = [told.state, told.reason, told.soon].filter(Boolean).join(": ");
   by("state").textContent = isLive ? state : `Played again: ${state}`;
   by("job").textContent = told.job ? told.job.about : "No job yet";
   anew("tree", told.tree ?? [], tree);

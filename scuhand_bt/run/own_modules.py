@@ -1,15 +1,17 @@
-"""The files of one's own modules that a trial runs: a plant's, and what a lab's skills and drivers are made of.
+"""The files of one's own modules that a run depends on: a plant's, and what a lab's skills and drivers are made of.
 
 They are found by reading imports, and nothing is run but the packages that hold them. What is installed beside
 (numpy, scuhand_bt itself) is not among them, nor is data that a module reads.
 """
 
 import ast
+import hashlib
 import re
 import sys
 import sysconfig
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
+from functools import lru_cache
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, resolve_name, spec_from_file_location
 from pathlib import Path
@@ -36,6 +38,11 @@ def lab_modules(lab: Path) -> dict[str, Path]:
     skills = [f"{PACKAGE}.skills.{path.stem}" for path in files_of(lab / "skills", "*.py")]
     found = _reached([*skills, *drivers], lab)
     return {name: path for name, path in found.items() if path.parent != lab / "skills"}
+
+
+def digests(files: Mapping[str, Path]) -> dict[str, str]:
+    """SHA-256 of each of these. OSError for one that cannot be read."""
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
 
 
 def _reached(modules: Collection[str], lab: Path | None = None) -> dict[str, Path]:
@@ -84,11 +91,22 @@ def _is_installed(file: str) -> bool:
 def _imported(file: Path, spec: ModuleSpec) -> Iterator[str]:
     """The modules that a module's file may import, by what stands in it; of `from a import b` also `a.b`."""
     with suppress(SyntaxError, ValueError, ImportError, OSError):
-        for node in ast.walk(ast.parse(file.read_bytes())):
-            if isinstance(node, ast.Import):
-                for one in node.names:
-                    yield from _with_packages(one.name)
-            elif isinstance(node, ast.ImportFrom):
-                module = resolve_name("." * node.level + (node.module or ""), spec.parent)
+        for level, module, names in _imports_in(file.read_bytes()):
+            if not names:
                 yield from _with_packages(module)
-                yield from (f"{module}.{one.name}" for one in node.names)
+                continue
+            module = resolve_name("." * level + module, spec.parent)
+            yield from _with_packages(module)
+            yield from (f"{module}.{name}" for name in names)
+
+
+@lru_cache(maxsize=256)  # every run of a process asks for the same skills
+def _imports_in(source: bytes) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
+    """Its `from` imports, as level, module and names, and its others, which have no names."""
+    found = list[tuple[int, str, tuple[str, ...]]]()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found += ((0, one.name, ()) for one in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            found.append((node.level, node.module or "", tuple(one.name for one in node.names)))
+    return tuple(found)
