@@ -550,11 +550,13 @@ def test_a_tolerance_that_the_repeatability_cannot_tell_is_told_where_it_stands(
 
 def test_check_notes_what_a_real_run_is_refused_for(command: Call, lab_folder: LabFolder) -> None:
     recipe = lab_folder.write("recipes/r.yaml", RECIPE)
-    ended = command("check", recipe)
+    ended = command("check", recipe, "--fast")
     assert ended.returncode == 0
     assert "robot/cell.yaml:6:" in ended.stderr
     assert "a check weight is asked for every 24 h 00 min, and was not weighed right yet" in ended.stderr
-    assert len(json.loads(command("check", recipe, "--json").stdout)["notes"]) == 2, "the changer, and the weight"
+    assert len(json.loads(command("check", recipe, "--fast", "--json").stdout)["notes"]) == 2, (
+        "the changer, and the weight"
+    )
 
 
 def test_a_real_run_without_a_check_weight_is_refused_or_warned_and_a_dry_run_is_not(

@@ -669,8 +669,8 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
 
     async def check() -> None:
         async with open_queue(database) as queue:
-            here = but(order, stations=("here",))
-            await queue.submit([here, but(here, key="another")])
+            short = submission_of(plan_of(lab, "short.yaml", count=1), simulated=True)
+            await queue.submit([but(one, stations=("here",)) for one in (order, short)])
             station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
 
             async def kill_it(jobs: list[QueuedJob]) -> bool:

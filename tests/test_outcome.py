@@ -476,7 +476,7 @@ def test_a_container_that_comes_again_for_another_powder_holds_both(
     recipe = RECIPE.replace("WORKFLOW", "two_visits").replace(
         "source: beads, container: xrd_holder", "source: beads, other: msg, container: xrd_holder, second: xrd_holder"
     )
-    ran = dry_run(tmp_path, recipe, lab=lab, controller="adaptive")
+    ran = dry_run(tmp_path, recipe, lab=lab, controller="adaptive", seed=2)
     had, world_mg = ran.sample("a"), ran.session.world.masses_mg
     its = {dose.lot: dose for dose in had.doses if dose.container == "a/container"}
     assert list(its) == lots
