@@ -256,6 +256,9 @@ class Hands:
     def expect(self) -> None:
         pass
 
+    def dismiss(self) -> None:
+        pass
+
     def ask_until(
         self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
     ) -> Steps[str]:

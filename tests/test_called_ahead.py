@@ -15,10 +15,12 @@ from test_answers import WhenAsked
 from test_plan import plan_of
 from test_resume import Run, Watch
 
+from scuhand_bt.cell.believed_powder import MOST_BARREN_LOADS
 from scuhand_bt.dashboard.page_state import Page
 from scuhand_bt.device_specs.changer import ChangerSpec
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
+from scuhand_bt.recipe.plan import Job
 from scuhand_bt.report.live import LiveView
 from scuhand_bt.report.picture import Picture
 from scuhand_bt.report.watching import shown_of
@@ -33,9 +35,29 @@ SOON = "a person is needed soon, at 'b': Is the shield shut?"
 RECIPE = "recipe: soon\nsamples: [{id: a, workflow: rest}, {id: b, workflow: ask}, {id: c, workflow: ask}]\n"
 
 
-def make_run(folder: Path, rests_s: float = 5.0) -> Run:
+PERHAPS = """
+workflow: perhaps
+tree: {fallback: [{sequence: [{fail: }, {ask_operator: {question: Is the shield shut?}}]}, {wait: {duration: 1 s}}]}
+"""
+FAILS = "workflow: rest\ntree: {sequence: [{wait: {duration: 5 s}}, {fail: }]}\n"
+FAIL = """
+from scuhand_bt.skill import Cell, Failure, Skill, SkillFailed, Steps, pause
+
+
+class Fail(Skill[None]):
+    \"\"\"It fails.\"\"\"
+
+    failures = {"fail.always": Failure("It fails.", "Nothing.")}
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from pause(cell, 0.1)
+        raise SkillFailed("fail.always", "as ever")
+"""
+
+
+def make_run(folder: Path, rests_s: float = 5.0, recipe: str = RECIPE, **files: str) -> Run:
     rest = f"workflow: rest\ntree: {{wait: {{duration: {rests_s:g} s}}}}\n"
-    run = Run(folder, make_lab(folder / "lab", trees__ask=ONCE, trees__rest=rest), RECIPE)
+    run = Run(folder, make_lab(folder / "lab", **{"trees__ask": ONCE, "trees__rest": rest, **files}), recipe)
     run.folder = run.lab_folder / ".scuhand" / "runs"
     return run
 
@@ -101,6 +123,51 @@ def test_a_resumed_run_calls_again_for_what_is_still_to_come(tmp_path: Path) -> 
     assert len(told(run, "person_soon")) == 1, "what was over before it was resumed calls nobody"
 
 
+def test_who_was_called_and_not_asked_has_gone_when_that_job_is_over(tmp_path: Path) -> None:
+    recipe = RECIPE.replace("id: b, workflow: ask", "id: b, workflow: perhaps")
+    run = make_run(tmp_path, 2.0 * COMES_S, recipe, trees__perhaps=PERHAPS, skills__fail=FAIL)
+    assert run.go(Watch()).exit_code == 0
+    assert told(run, "person_soon") == [0.0]
+    (asked_s,), (answered_s,) = told(run, "asked"), told(run, "answered")
+    assert answered_s == pytest.approx(asked_s + ANSWER_S, abs=0.1)
+
+
+def test_a_run_that_is_resumed_within_what_is_done_once_more_calls_again(tmp_path: Path) -> None:
+    class Redone(Watch):
+        def attempt_started(self, job: Job, attempt: int) -> None:
+            if attempt == 2:
+                self.session.control.wish("stop_now")
+
+    again = f"{RECIPE}on_failure: {{fail.always: redo}}\n"
+    run = make_run(tmp_path, recipe=again, trees__rest=FAILS, skills__fail=FAIL)
+    assert run.go(Redone()).exit_code == 130
+    assert len(told(run, "person_soon")) == 1, "both attempts are one job"
+    run.go(Watch(), resumes=True)
+    assert len(told(run, "person_soon")) == 2
+
+
+def test_a_sample_that_is_left_out_waits_for_nobody(tmp_path: Path) -> None:
+    class NothingComes(Watch):
+        def attempt_started(self, job: Job, attempt: int) -> None:
+            believed, beads = self.session.cell.believed, self.session.plan.recipe.sources["beads"]
+            for _ in range(MOST_BARREN_LOADS if job.name == "a" else 0):
+                believed.scooped(beads, 4000.0)
+                believed.dosing_ended(0.0, 0.0)
+                believed.gave_out(is_short=False)
+                believed.emptied()
+
+    recipe = "order: as_written\n" + RECIPE.replace(
+        "workflow: ask}, {id: c, workflow: ask", "workflow: ask_of, source: beads}, {id: c, workflow: rest"
+    )
+    ask_of = ONCE.replace("workflow: ask\n", "workflow: ask_of\ninputs: {source: Source}\n")
+    run = make_run(tmp_path, recipe=recipe, trees__ask_of=ask_of)
+    run.go(NothingComes())
+    assert (told(run, "person_soon"), told(run, "asked")) == ([0.0], [])
+    for time_s, soon in ((1.0, SOON), (6.0, "")):
+        assert Page(Follower(run.journal, until_s=time_s)).news(is_held=True)["soon"] == soon
+    assert Page(Follower(run.journal, until_s=1.0)).news(is_held=False)["soon"] == "", "it was killed"
+
+
 def test_who_was_called_takes_as_long_to_do_what_shows_by_itself() -> None:
     clock, done_s = VirtualClock(), list[float]()
     person = SimulatedOperator(clock, lambda event: None)
@@ -115,10 +182,10 @@ def test_who_was_called_takes_as_long_to_do_what_shows_by_itself() -> None:
 def test_where_every_job_needs_a_person_nobody_is_called(desk: Desk) -> None:
     by_hand = replace(desk.lab, cell=desk.lab.cell.model_copy(update={"changer": ChangerSpec(driver="operator")}))
     plan, of_hands = plan_of(desk), plan_of(Desk(desk.folder, by_hand))
-    called = [plan.soon(number) for number in range(len(plan.jobs))]
+    called = [plan.soon(job) for job in plan.jobs]
     assert [one and one.job for one in called] == [None, plan.jobs[2].name, None, None, None]
     assert called[1] is not None
     assert "swap the sheet" in called[1].what
     needed = {person.job for person in of_hands.persons}
     assert {job.name for job in of_hands.jobs if job.sample} <= needed
-    assert not any(of_hands.soon(number) for number in range(len(of_hands.jobs) - 1))
+    assert not any(of_hands.soon(job) for job in of_hands.jobs[:-1])

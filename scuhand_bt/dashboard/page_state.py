@@ -62,7 +62,7 @@ class Page:
             "reason": reason,
             "time_s": now.time_s,
             "at": now.at,
-            "soon": str(now.soon or ""),
+            "soon": str(now.soon or "") if is_held else "",
             "left_s": time_left_s(now, run),
             "pace": asdict(pace_of(now, run)),
             "question": _question(now, since) if state == "waiting for a person" else None,

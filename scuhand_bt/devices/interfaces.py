@@ -355,6 +355,10 @@ class Operator(Protocol):
         """Something is going to be asked soon, which the run has told: a simulated person sets out."""
         ...
 
+    def dismiss(self) -> None:
+        """What was to be asked was not, and who has come for it goes."""
+        ...
+
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         """Ask and wait for one of `choices`; SkillFailed operator.absent when nobody is there."""
         ...

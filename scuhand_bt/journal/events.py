@@ -245,7 +245,7 @@ class Settled(Event):
 
 
 class PersonSoon(Event):
-    """A person is going to be asked for something as the next job begins, and may come meanwhile."""
+    """A person is going to be asked for something at the next job, and may come meanwhile."""
 
     KIND: ClassVar = "person_soon"
 

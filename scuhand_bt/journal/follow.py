@@ -204,7 +204,7 @@ class Follower:
             case JobStarted():
                 self.job, self.job_ended, self.reading = event, None, None
                 self.actions, self.decided, self.over, self.course = {}, {}, set(), []
-                self.soon = None if self.soon is not None and self.soon.job == event.name else self.soon
+                self._has_come_to(event.name)
             case JobResumed():
                 self.job_ended = None
                 self.samples.pop((self.job and self.job.sample) or "", None)  # one that had stopped the run
@@ -223,6 +223,7 @@ class Follower:
             case DoseCurve():
                 self.course += event.points
             case SampleResult():
+                self._has_come_to(event.id)  # one that is left out begins no job
                 before = self.samples.pop(event.id, None)
                 self.samples[event.id] = event
                 # It is told again as its container has gone, and as the run ends: by then it had long been done.
@@ -245,6 +246,10 @@ class Follower:
                 self._goes_on()
                 self.resumed += 1
                 self.samples = {name: one for name, one in self.samples.items() if one.was_tried}
+
+    def _has_come_to(self, job: str) -> None:
+        """Who was going to be needed there is by now, or is not any more."""
+        self.soon = None if self.soon is not None and self.soon.job == job else self.soon
 
     def _goes_on(self) -> None:
         self.is_paused = False

@@ -83,12 +83,13 @@ class Plan:
     def duration_s(self) -> float:
         return max(self.done_s.values(), default=0.0)
 
-    def soon(self, number: int) -> PersonNeeded | None:
+    def soon(self, job: Job) -> PersonNeeded | None:
         """What a person is needed for at the job after this one, if for nothing at this one.
 
-        Who is told as this one begins can have come by then.
+        Who is told as this one begins can have come by then. Nothing for a job that is not of the plan.
         """
-        needed = [[one for one in self.persons if one.job == job.name] for job in self.jobs[number:][:2]]
+        number = next((number for number, one in enumerate(self.jobs) if one.name == job.name), len(self.jobs))
+        needed = [[one for one in self.persons if one.job == at.name] for at in self.jobs[number:][:2]]
         here, after = needed if len(needed) == 2 else ([], [])
         return replace(after[0], what="; ".join(one.what for one in after)) if after and not here else None
 

@@ -183,8 +183,7 @@ class LiveView(BatchObserver):
 
     def _soon(self) -> str:
         """What a person is going to be asked for at the next job."""
-        under_way = self._job[0] if self._job is not None else None
-        person = self._plan.soon(self._plan.jobs.index(under_way)) if under_way in self._plan.jobs else None
+        person = self._plan.soon(self._job[0]) if self._job is not None else None
         return str(PersonSoon(job=person.job or "", what=person.what)) if person is not None else ""
 
     def _state(self) -> str:

@@ -76,6 +76,8 @@ class Batch:
         self._results = SampleResults(plan, cell, journal, observer, true_mass_mg)
         self._under_way: tuple[Sample, int, float] | None = None
         """The sample whose job runs, its attempt, and when that began [s]."""
+        self._called_at: Job | None = None
+        """The last job as which began a person was called for the next."""
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
@@ -139,15 +141,14 @@ class Batch:
                 return _ended(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "as was asked for")
             if job.sample is not None or not self._was_over(job.name, 1):
                 self._observer.job_started(job, number)
-            if (person := self._plan.soon(number)) is not None and not self._was_over(job.name, 1):
-                self._journal.event(PersonSoon(job=person.job or "", what=person.what))
-                self._cell.operator.expect()
             if job.sample is None:
                 ending = self._run_service(job, 1)
             else:
                 ending = self._run_sample(job, job.sample) or self._too_many_overshoots()
             if ending is not None:
                 return ending
+            if self._called_at is not job:
+                self._cell.operator.dismiss()
         return _ended(ExitCode.OK, "", complete=True)
 
     def _was_over(self, name: str, attempt: int) -> bool:
@@ -304,6 +305,7 @@ class Batch:
         if before is not None and before.is_over:
             journal.so_far = before.so_far
             return Outcome(before.failure)
+        self._call_ahead(job)
         self._observer.attempt_started(job, attempt)
         self._cell.of_job = [value for _, value in each_of(inputs) if isinstance(value, Container)]
         if before is None:
@@ -333,6 +335,13 @@ class Batch:
             again = history.jobs[job.name, attempt]
             journal.job_resumed(again.seq, again.so_far)
             replay = again.replay(history.state.get("joints_rad"))
+
+    def _call_ahead(self, job: Job) -> None:
+        """Call who is needed at the next job, once for all attempts at this one."""
+        if self._called_at is not job and (person := self._plan.soon(job)) is not None:
+            self._called_at = job
+            self._journal.event(PersonSoon(job=person.job or "", what=person.what))
+            self._cell.operator.expect()
 
     def _note_outcome(self, sample_id: str | None, attempt: int, outcome: Outcome) -> None:
         failure = outcome.failure

@@ -61,6 +61,9 @@ class SimulatedOperator:
         if self._comes_s is None:
             self._comes_s = self._clock.now_s + self._answer_s * (1.0 - AT_HAND)
 
+    def dismiss(self) -> None:
+        self._comes_s = None
+
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         self._tell(Asked(question=question, choices=list(choices)))
         self.expect()
@@ -108,6 +111,9 @@ class Nobody:
     def expect(self) -> None:
         """Nobody sets out."""
 
+    def dismiss(self) -> None:
+        """Nobody has come."""
+
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         raise SkillFailed(Code.OPERATOR_ABSENT, f"the run is unattended; it was to be asked: {question}")
 
@@ -139,6 +145,9 @@ class PersonOperator:
 
     def expect(self) -> None:
         """Who is told otherwise comes by themselves."""
+
+    def dismiss(self) -> None:
+        """And goes by themselves."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         answer = yield from self._ask(question, choices, None)
