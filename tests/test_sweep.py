@@ -7,7 +7,7 @@ import pytest
 from conftest import read
 from daily import first_daily
 from running import make_lab
-from test_zones import RECIPE, Bench, motion, run_dry  # noqa: F401 - a fixture
+from zone_bench import RECIPE, Bench, run_dry, starter_motion
 
 from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.right_of_way import RightOfWay
@@ -21,6 +21,11 @@ from scuhand_bt.specs import Container, Source
 TWO = RECIPE.replace("mass: 500 mg}\n", "mass: 500 mg}\n  - {id: b, mass: 5 g}\n")
 UP = np.array([0.0, 0.0, 1.0])
 FROM_PAN_TO_MORTAR = "{name: pan, box: [400 mm, 120 mm, 260 mm], at: [265 mm, 120 mm, 130 mm], yaw: 118 deg}"
+
+
+@pytest.fixture(scope="module")
+def motion(starter: Lab) -> MotionPlanner:
+    return starter_motion(starter)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +68,7 @@ def test_a_scoop_where_the_carousel_swings_is_made_after_it_or_upsets_the_contai
 
 
 @pytest.mark.parametrize("is_over", [True, False])
-def test_what_a_container_held_that_is_hit_is_spilled(starter: Lab, motion: MotionPlanner, is_over: bool) -> None:  # noqa: F811
+def test_what_a_container_held_that_is_hit_is_spilled(starter: Lab, motion: MotionPlanner, is_over: bool) -> None:
     mortar, powder = starter.library.mortars["agate_mortar"], starter.library.powders["glass_beads"]
     source = Source(name="beads", station="mortar_bay", mortar=mortar, powder=powder, amount_mg=20_000.0)
     bench = Bench(starter, motion, {"beads": source})
