@@ -33,6 +33,7 @@ from scuhand_bt.report.powder_balance import powder_balance
 from scuhand_bt.report.run_figures import times_figure
 from scuhand_bt.report.run_report import NONE, comparison, page_of_run
 from scuhand_bt.report.time_spent import ACTIVITIES, JobTime, TimeSpent, time_spent
+from scuhand_bt.run.operator import ANSWER_S, AT_HAND
 from tests.test_journal import HEADER, tamper, write_version_1
 
 EVIL = "<script>alert(1)</script>"
@@ -164,7 +165,8 @@ def test_every_moment_of_a_run_and_of_its_jobs_was_spent_on_one_thing(ran: Ran) 
     assert by_job <= ran.result.duration_s + 1e-6
     dosing = {job.sample: job.spent_s["dosing"] for job in spent.jobs}
     assert all(dosing[sample.id] > 0 for sample in ran.result.samples)
-    assert spent.total_s["waiting for persons"] == pytest.approx(60.0), "the sheet that is changed for another powder"
+    by_the_sheet = "who changes the sheet for another powder was called ahead"
+    assert spent.total_s["waiting for persons"] == pytest.approx(ANSWER_S * AT_HAND), by_the_sheet
     assert spent.total_s["other"] < 0.02 * ran.result.duration_s
 
 
