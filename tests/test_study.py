@@ -152,7 +152,9 @@ def test_a_plan_tries_what_it_has_not_tried_of_these_files(
     for number in range(RECIPES_KEPT + 3):
         (of_another := kept[0].with_name(f"{number}-another.sqlite")).touch()
         os.utime(of_another, (1000.0 + number, 1000.0 + number))
+    os.utime(kept[0], (1.0, 1.0))
     assert plan(3) == (0, odds)
+    assert kept[0].stat().st_mtime > 1e9, "it is not the oldest for having lacked nothing"
     there = {path.name for path in kept[0].parent.iterdir()}
     assert len(there) == RECIPES_KEPT
     assert {kept[0].name, "66-another.sqlite"} < there, "the oldest have gone"
