@@ -41,7 +41,7 @@ from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.replay import Replay
 from scuhand_bt.yaml_source import parse
 
-pytest_plugins = ["pytester", "real_time", "browser"]
+pytest_plugins = ["pytester", "real_time", "browser", "fleet_fixtures"]
 REPOSITORY = Path(__file__).parent.parent
 
 

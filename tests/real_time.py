@@ -54,10 +54,15 @@ GIVES_WAY = pytest.StashKey[bool]()
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """They run one after the other, beside those that only compute; of which one process makes what a file's share."""
+    """They run one after the other, beside those that only compute; of which one process makes what a file's share.
+
+    Files that share something dear name a group of their own.
+    """
     for item in items:
-        is_in_real_time = item.get_closest_marker("real_time") is not None
-        item.add_marker(pytest.mark.xdist_group("real_time" if is_in_real_time else item.path.stem))
+        if item.get_closest_marker("real_time") is not None:
+            item.add_marker(pytest.mark.xdist_group("real_time"))
+        elif item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
 
 
 @pytest.hookimpl(tryfirst=True)

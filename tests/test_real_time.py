@@ -162,3 +162,18 @@ def test_those_in_real_time_run_one_after_the_other_in_a_process_that_the_others
     others = [int(nice) for _, other, nice in where if other != process]
     assert others
     assert min(others) > os.nice(0)
+
+
+def test_files_that_name_a_group_are_run_by_one_process_and_of_others_each_is_a_group(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    monkeypatch.setenv("PYTHONPATH", str(Path(real_time.__file__).parent), prepend=os.pathsep)
+    pytester.makeini("[pytest]\nmarkers = real_time\n")
+    shares = "import pytest\npytestmark = pytest.mark.xdist_group('server')\ndef test_it(): pass\n"
+    alone = "def test_it(): pass\n"
+    pytester.makepyfile(test_first=shares, test_second=shares, test_third=alone, test_fourth=alone)
+    options = ("-p", "real_time", "-p", "xdist", "-n", "1", "--dist", "loadgroup", "-v")
+    ran = pytester.runpytest_subprocess(*options).outlines
+    groups = {line.strip().split("@")[-1] for line in ran if line.startswith("[gw0]")}
+    assert groups == {"server", "test_third", "test_fourth"}

@@ -2,6 +2,7 @@
 
 import base64
 import gzip
+import hashlib
 import re
 import time
 import tracemalloc
@@ -30,8 +31,9 @@ from scuhand_bt.report.audit import deeds_of_run
 from scuhand_bt.report.dose_curves import curves_of_doses
 from scuhand_bt.report.powder_balance import powder_balance
 from scuhand_bt.report.run_figures import times_figure
-from scuhand_bt.report.run_report import comparison, page_of_run
+from scuhand_bt.report.run_report import NONE, comparison, page_of_run
 from scuhand_bt.report.time_spent import ACTIVITIES, JobTime, TimeSpent, time_spent
+from scuhand_bt.run.operator import ANSWER_S, AT_HAND
 from tests.test_journal import HEADER, tamper, write_version_1
 
 EVIL = "<script>alert(1)</script>"
@@ -163,7 +165,8 @@ def test_every_moment_of_a_run_and_of_its_jobs_was_spent_on_one_thing(ran: Ran) 
     assert by_job <= ran.result.duration_s + 1e-6
     dosing = {job.sample: job.spent_s["dosing"] for job in spent.jobs}
     assert all(dosing[sample.id] > 0 for sample in ran.result.samples)
-    assert spent.total_s["waiting for persons"] == pytest.approx(60.0), "the sheet that is changed for another powder"
+    by_the_sheet = "who changes the sheet for another powder was called ahead"
+    assert spent.total_s["waiting for persons"] == pytest.approx(ANSWER_S * AT_HAND), by_the_sheet
     assert spent.total_s["other"] < 0.02 * ran.result.duration_s
 
 
@@ -354,6 +357,21 @@ def test_two_runs_are_compared_sample_by_sample(ran: Ran, tmp_path: Path) -> Non
     shaded = re.findall(r'<tr class="differs"><td>([^<]*)', text)
     assert {"seed", "recipe&#39;s SHA-256", "run time"} <= set(shaded)
     assert not {"cell", "controller", "numpy"} & set(shaded)
+
+
+def test_a_module_of_ones_own_that_a_run_was_made_of_is_told_as_the_labs_files_are(
+    ran: Ran, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    mine = tmp_path / "pauses_of_report.py"
+    mine.write_text("LONG_S = 1.0\n", encoding="utf-8")
+    digest = hashlib.sha256(mine.read_bytes()).hexdigest()
+    lab = make_lab(tmp_path / "lab", skills___pauses="from pauses_of_report import LONG_S\n")
+    other = dry_run(tmp_path, BATCH, controller=None, seed=3, lab=lab)
+    with open_contents(ran.journal) as a, open_contents(other.journal) as b:
+        pages = page_of_run(b), comparison(a, b)
+    rows = [row for page in pages for table in Tables(page).found.values() for row in table if row[0] == mine.stem]
+    assert rows == [[mine.stem, digest], [mine.stem, NONE, digest]]
 
 
 @pytest.mark.slow

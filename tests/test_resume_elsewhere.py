@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from conftest import Call
@@ -17,7 +18,7 @@ samples: [{id: a}, {id: b}]
 
 LONG = """
 from pauses_of_mine import LONG_S
-from scuhand_bt.skill import Cell, Skill, Steps
+from scuhand_bt.skill import Cell, Skill, Steps, pause
 
 
 class Long(Skill[None]):
@@ -26,7 +27,7 @@ class Long(Skill[None]):
     typical_s = LONG_S
 
     def run(self, cell: Cell) -> Steps[None]:
-        yield from cell.wait(LONG_S)
+        yield from pause(cell, LONG_S)
 """
 
 
@@ -87,6 +88,29 @@ def test_a_module_beside_the_lab_that_a_skill_is_made_of_is_a_part_of_the_run(
     assert "your own module pauses_of_mine has changed" in err
     mine.write_text("LONG_S = 1.0\n", encoding="utf-8")
     assert command("resume", "last", "--lab", lab).returncode == 0
+
+
+def test_a_module_that_is_no_file_of_its_own_keeps_no_run_from_beginning_or_going_on(
+    tmp_path: Path, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path / "mine.zip")
+    with ZipFile(tmp_path / "mine.zip", "w") as mine:
+        mine.writestr("pauses_in_a_zip.py", "LONG_S = 1.0\n")
+    lab = make_lab(tmp_path / "lab", skills__long=LONG.replace("pauses_of_mine", "pauses_in_a_zip"))
+    (lab / ".scuhand").mkdir()
+    dry_run(lab / ".scuhand", DOSES, lab=lab, stop_at=30)
+    assert command("resume", "last", "--lab", lab).returncode == 0
+
+
+def test_a_lab_that_was_named_from_where_the_run_began_is_the_same_from_anywhere(
+    tmp_path: Path, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab = make_lab(tmp_path / "lab")
+    (lab / ".scuhand").mkdir()
+    monkeypatch.chdir(tmp_path)
+    dry_run(lab / ".scuhand", DOSES, lab=Path("lab"), stop_at=30)
+    code, _, err = command("resume", "last", "--lab", lab)
+    assert (code, err) == (0, "")
 
 
 def test_a_new_workflow_is_still_a_change(lab: Path, command: Call) -> None:

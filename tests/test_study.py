@@ -152,7 +152,9 @@ def test_a_plan_tries_what_it_has_not_tried_of_these_files(
     for number in range(RECIPES_KEPT + 3):
         (of_another := kept[0].with_name(f"{number}-another.sqlite")).touch()
         os.utime(of_another, (1000.0 + number, 1000.0 + number))
+    os.utime(kept[0], (1.0, 1.0))
     assert plan(3) == (0, odds)
+    assert kept[0].stat().st_mtime > 1e9, "it is not the oldest for having lacked nothing"
     there = {path.name for path in kept[0].parent.iterdir()}
     assert len(there) == RECIPES_KEPT
     assert {kept[0].name, "66-another.sqlite"} < there, "the oldest have gone"
@@ -260,15 +262,43 @@ def test_modules_of_ones_own_that_a_lab_is_made_of_and_were_changed_are_tried_an
     assert set(lab_modules(setup.lab).values()) == {mine, deep}
 
 
-def test_what_a_skill_imports_from_beside_the_labs_folders_is_in_the_lab_of_each_draw(setup: Setup) -> None:
+def test_modules_are_found_and_none_is_run(setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    installed = tmp_path / "opt" / "dist-packages"
+    for folder in (tmp_path, installed):
+        monkeypatch.syspath_prepend(folder)
+    runs = "raise RuntimeError('it was run')\n"
+    texts = {
+        tmp_path / "camera_of_mine" / "__init__.py": runs,
+        tmp_path / "camera_of_mine" / "parts" / "lens.py": runs,
+        tmp_path / "camera_of_mine" / "grab.py": f"import rig_of_mine.left.arm\n{runs}",
+        tmp_path / "rig_of_mine" / "left" / "arm.py": runs,
+        installed / "camera_driver" / "__init__.py": f"import camera_driver.low\n{runs}",
+        installed / "camera_driver" / "low.py": runs,
+    }
+    for path, text in texts.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    skill = setup.lab / "skills" / "park.py"
+    tried = (
+        "\nwith suppress(Exception):\n    from camera_of_mine.parts import lens\n    from camera_of_mine import grab\n"
+    )
+    skill.write_text(skill.read_text(encoding="utf-8") + tried + "    import camera_driver.low\n", encoding="utf-8")
+    assert set(lab_modules(setup.lab).values()) == {path for path in texts if not path.is_relative_to(installed)}
+
+
+def test_what_a_skill_imports_from_beside_the_labs_folders_is_in_the_lab_of_each_draw(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (setup.lab / "pauses").mkdir()
     for file in ("__init__.py", "long.py"):
         (setup.lab / "pauses" / file).write_text("LONG_S = 1.0\n", encoding="utf-8")
     skill = setup.lab / "skills" / "park.py"
     text = skill.read_text(encoding="utf-8")
     skill.write_text(f"{text}\nfrom ..pauses.long import LONG_S\n", encoding="utf-8")
-    with changed(setup.recipe, setup.lab, ((FLOW, "20"),)) as (_, lab):
-        assert load_lab(lab).library.skills["park"].typical_s > 0.0
+    monkeypatch.chdir(setup.lab.parent)
+    for named in (setup.lab, Path(setup.lab.name)):
+        with changed(setup.recipe, named, ((FLOW, "20"),)) as (_, lab):
+            assert load_lab(lab).library.skills["park"].typical_s > 0.0
 
 
 def test_what_physics_of_ones_own_import_is_theirs(

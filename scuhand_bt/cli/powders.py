@@ -42,38 +42,38 @@ def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = F
         return
     loaded = the_lab(lab)
     state = lab_state(loaded)
-    learnt = [one for simulated in (False, True) for one in state.powders(simulated=simulated).items()]
-    scoops = [one for simulated in (False, True) for one in state.yields(simulated=simulated).items()]
     from scuhand_bt.api.books import FLOW_BELIEVED_FOR, YIELD_BELIEVED_FOR
 
-    now = datetime.now().astimezone()
-    old_flows = {name for name, one in learnt if one.is_older_than(FLOW_BELIEVED_FOR, now)}
-    old_yields = {of for of, one in scoops if one.is_older_than(YIELD_BELIEVED_FOR, now)}
+    now, kinds = datetime.now().astimezone(), (False, True)
+    flows = [one for simulated in kinds for one in state.powders(simulated=simulated).items()]
+    learnt = [(name, one, one.is_older_than(FLOW_BELIEVED_FOR, now)) for name, one in flows]
+    yields = [one for simulated in kinds for one in state.yields(simulated=simulated).items()]
+    scoops = [(of, one, one.is_older_than(YIELD_BELIEVED_FOR, now)) for of, one in yields]
     if as_json:
         guesses = [_values(name, powder.belief, None) for name, powder in loaded.library.powders.items()]
-        beliefs = guesses + [_values(name, one.belief, one) | {"too_old": name in old_flows} for name, one in learnt]
+        beliefs = guesses + [_values(name, one.belief, one) | {"too_old": is_old} for name, one, is_old in learnt]
         brought = [
-            {"lot": lot, "mortar": mortar, "share": one.share, **_taught(one), "too_old": (lot, mortar) in old_yields}
-            for (lot, mortar), one in scoops
+            {"lot": lot, "mortar": mortar, "share": one.share, **_taught(one), "too_old": is_old}
+            for (lot, mortar), one, is_old in scoops
         ]
         print_json({"beliefs": beliefs, "scoops": brought})
         return
     table = Listing("powder lot", *FIGURES, "by")
     for name, powder in loaded.library.powders.items():
         table.add_row(Text(name), *_belief_cells(powder.belief), "first guess", style="dim")
-    for name, one in learnt:
+    for name, one, _ in learnt:
         table.add_row(Text(name), *_belief_cells(one.belief), "SIMULATED" if one.simulated else "doses")
     out.print(table)
     if learnt:
         origins = Listing("powder lot", "learnt", "at")
-        for name, one in learnt:
-            old = f", more than {FLOW_BELIEVED_FOR.days} days ago: a first guess again" if name in old_flows else ""
+        for name, one, is_old in learnt:
+            old = f", more than {FLOW_BELIEVED_FOR.days} days ago: a first guess again" if is_old else ""
             origins.add_row(Text(name), Text(one.origin), f"{one.at}{old}")
         out.print("", origins, sep="\n")
     if scoops:
         brings = Listing("scoops of", "in", "bring of what is expected", "learnt", "at")
-        for of, brought_by in scoops:
-            old = f", older than {YIELD_BELIEVED_FOR.days} days: learnt anew" if of in old_yields else ""
+        for of, brought_by, is_old in scoops:
+            old = f", older than {YIELD_BELIEVED_FOR.days} days: learnt anew" if is_old else ""
             brings.add_row(*map(Text, of), f"{brought_by.share:.0%}{old}", Text(brought_by.origin), brought_by.at)
         out.print("", brings, sep="\n")
 

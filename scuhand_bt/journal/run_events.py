@@ -94,6 +94,11 @@ class RunBegun(Event):
     ledger: str | None = None
     """The head of the lab's ledger before this run."""
 
+    @property
+    def code_files(self) -> dict[str, str]:
+        """SHA-256 of all that the run was made of beside its recipe and the program: the lab's files, own modules."""
+        return {**self.lab_files, **(self.modules or {})}
+
 
 class Resumed(Event):
     """An interrupted run goes on."""

@@ -224,15 +224,15 @@ def comparison(first: Contents, second: Contents) -> str:
         of_a, of_b = dict(pairs(a)), dict(pairs(b))
         both += [(name, of_a.get(name, NONE), of_b.get(name, NONE)) for name in dict.fromkeys([*of_a, *of_b])]
     files = [
-        (name, a.run.lab_files.get(name, NONE), b.run.lab_files.get(name, NONE))
-        for name in sorted({*a.run.lab_files, *b.run.lab_files})
+        (name, a.run.code_files.get(name, NONE), b.run.code_files.get(name, NONE))
+        for name in sorted({*a.run.code_files, *b.run.code_files})
     ]
     return rendered(
         "compare.html",
         a=_side(a),
         b=_side(b),
         facts_of_both=both,
-        lab_files=[one for one in files if one[1] != one[2]],
+        code_files=[one for one in files if one[1] != one[2]],
         errors=Markup(errors_figure([a.results, b.results])),
         samples=list(_side_by_side(a.results, b.results)),
         times=[

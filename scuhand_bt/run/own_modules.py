@@ -1,20 +1,20 @@
 """The files of one's own modules that a run depends on: a plant's, and what a lab's skills and drivers are made of.
 
-They are found by reading imports, and nothing is run but the packages that hold them. What is installed beside
-(numpy, scuhand_bt itself) is not among them, nor is data that a module reads.
+They are found by reading imports, and nothing is run: a package that no skill has come to may do anything as it is
+imported. What is installed beside (numpy, scuhand_bt itself) is not among them, nor is data that a module reads.
 """
 
 import ast
 import hashlib
 import re
 import sys
-import sysconfig
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, resolve_name, spec_from_file_location
 from pathlib import Path
+from pkgutil import get_importer
 
 from scuhand_bt.drivers import PLUGGED
 from scuhand_bt.lab import CELL_FILE, files_of
@@ -22,6 +22,8 @@ from scuhand_bt.skill_files.load import PACKAGE
 
 _KNOWN = {*sys.stdlib_module_names, "scuhand_bt"}
 """What is Python's own, or this program."""
+_INSTALLED = {"site-packages", "dist-packages"}
+"""What is installed stands in these: the environment's own, the system's, the user's, or those of ROS."""
 
 
 def plant_files(plant: str) -> dict[str, Path]:
@@ -33,16 +35,21 @@ def plant_files(plant: str) -> dict[str, Path]:
 
 def lab_modules(lab: Path) -> dict[str, Path]:
     """Those that a lab's skills import and its cell's drivers are in, beside the lab's own folder of skills."""
+    lab = lab.absolute()  # as the files of modules are, wherever the lab was named from
     cell = (lab / CELL_FILE).read_text(encoding="utf-8", errors="replace")
     drivers = [found[1].partition(":")[0] for found in re.finditer(rf"driver:\s*[\"']?({PLUGGED.pattern})", cell)]
     skills = [f"{PACKAGE}.skills.{path.stem}" for path in files_of(lab / "skills", "*.py")]
     found = _reached([*skills, *drivers], lab)
-    return {name: path for name, path in found.items() if path.parent != lab / "skills"}
+    return {name: path for name, path in found.items() if not path.is_relative_to(lab / "skills")}
 
 
 def digests(files: Mapping[str, Path]) -> dict[str, str]:
-    """SHA-256 of each of these. OSError for one that cannot be read."""
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    """SHA-256 of each of these; "" for one that cannot be read, of which its import says so if it is needed."""
+    found = dict.fromkeys(files, "")
+    for name, path in files.items():
+        with suppress(OSError):
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
 
 
 def _reached(modules: Collection[str], lab: Path | None = None) -> dict[str, Path]:
@@ -75,8 +82,7 @@ def _spec(name: str, lab: Path | None) -> ModuleSpec | None:
         package, *parts = name.split(".")
         if package != PACKAGE or lab is None:
             within = _spec(name.rpartition(".")[0], lab) if parts else None
-            # Of a module that is no package Python would run it, to look for what is in it.
-            return find_spec(name) if not parts or (within and within.submodule_search_locations) else None
+            return _within(name, within) if within is not None else None if parts else find_spec(name)
         folder = lab.joinpath(*parts)  # whichever lab this process has under that name
         for file, folders in ((folder / "__init__.py", [str(folder)]), (folder.with_suffix(".py"), None)):
             if file.is_file():
@@ -84,8 +90,22 @@ def _spec(name: str, lab: Path | None) -> ModuleSpec | None:
     return None
 
 
+def _within(name: str, package: ModuleSpec) -> ModuleSpec | None:
+    """As `find_spec`, which would run the package to look for what is in it."""
+    folders = list[str]()  # of a package that stands in several, and has no file
+    for folder in package.submodule_search_locations or ():
+        finder = get_importer(folder)
+        spec = finder.find_spec(name) if finder is not None else None
+        if spec is not None and spec.loader is not None:
+            return spec
+        folders += (spec and spec.submodule_search_locations) or ()
+    namespace = ModuleSpec(name, None, is_package=True)
+    namespace.submodule_search_locations = folders
+    return namespace
+
+
 def _is_installed(file: str) -> bool:
-    return any(map(Path(file).is_relative_to, (sysconfig.get_path(of) for of in ("purelib", "platlib"))))
+    return not _INSTALLED.isdisjoint(Path(file).parts)
 
 
 def _imported(file: Path, spec: ModuleSpec) -> Iterator[str]:

@@ -63,8 +63,9 @@ def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, P
         for name in FOLDERS:
             if (lab / name).is_dir():
                 shutil.copytree(lab / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-        for path in lab_modules(lab).values():  # which a skill may import from beside these folders
-            if path.is_relative_to(lab) and not (at := copy / path.relative_to(lab)).exists():
+        here = lab.absolute()
+        for path in lab_modules(here).values():  # which a skill may import from beside these folders
+            if path.is_relative_to(here) and not (at := copy / path.relative_to(here)).exists():
                 at.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(path, at)
         real, of = recipe.parent.resolve(), lab.resolve()  # a path with `..` leads out of the copy

@@ -16,7 +16,7 @@ from scuhand_bt.study.change import files_hash, modules_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
 RECIPES_KEPT = 64
-"""Files of trials in the user's cache, those written last: a recipe that is gone, or has another name, asks no more."""
+"""Files of trials in the user's cache, those asked for last: a recipe that is gone, or has another name, asks no more."""
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table'"
 
@@ -107,6 +107,7 @@ def last_tried(setup: Setup) -> Iterator[Store | None]:
         store = None
         with suppress(SourceError, OSError):
             store = opened.enter_context(open_store(path, setup, _Cache))
+            path.touch()  # also what lacks nothing was asked for last
             by_age = sorted(folder.glob("*.sqlite"), key=lambda one: one.stat().st_mtime, reverse=True)
             for gone in {*folder.glob(f"{of}-*.sqlite"), *by_age[RECIPES_KEPT:]} - {path}:
                 gone.unlink()
