@@ -19,6 +19,7 @@ from scuhand_bt.dosing.bracket import (
     drift_between,
     is_hardly_chance,
     moved_mg,
+    rising_s,
     standing,
     together,
 )
@@ -51,6 +52,8 @@ SLOWER = 1.25
 """Times a known delay: a balance that shows a step later is not set as it was."""
 DROP_S = 30.0
 """Powder that drips from a valve that was shut does so once in this time."""
+RISE_READINGS, RISES = 5, 1.5
+"""A drop shows from a fifth to four fifths within so many readings, and so much of the delay: poles take 1.4 of it."""
 QUICK_S, QUICK_READINGS, CREEPS = 8.0, 18, 0.15
 """A balance that has called itself stable so soon, or in so few readings, does not creep; a slower one does, for that
 share of the time."""
@@ -107,14 +110,14 @@ def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
 
 
 def look_after_gain(cell: Cell, before: Gross, last: Gross, mean: StableMean) -> Steps[tuple[Gross, StableMean]]:
-    """As `note_moved` of the weighing before and the last one, `mean`; what has gained since is looked at once more,
+    """As `note_moved` of the weighing before and the last one, `mean`; what has gained at once is looked at once more,
     and is then told by these two.
 
-    What had come to rest, has gained, and rests again has got a drop, and no drift that any dose may have had: that
-    goes on, as what creeps does.
+    What had come to rest, has gained at once, and rests again has got a drop, and no drift that any dose may have had:
+    that takes its time, or goes on.
     """
     now, digit_mg = weighing_of(mean), cell.spec.balance.readability_mg
-    if moved_mg(before, now, digit_mg) <= 0.0:
+    if moved_mg(before, now, digit_mg) <= 0.0 or not _came_at_once(cell, before, now):
         note_moved(cell, before, now)
         return last, mean
     yield from pause(cell.clock, LONGEST_WATCH_S)
@@ -124,6 +127,19 @@ def look_after_gain(cell: Cell, before: Gross, last: Gross, mean: StableMean) ->
         note_moved(cell, before, now)
         note_moved(cell, now, later)
     return now, again
+
+
+def _came_at_once(cell: Cell, before: Gross, now: Gross) -> bool:
+    """Whether the readings between two weighings rise as by one drop: no slower than the balance shows it."""
+    seen = [one for one in cell.readings.copy() if before.time_s < one.time_s < now.time_s]
+    took_s = rising_s(before, [(one.time_s, one.value_mg) for one in seen], now)
+    return took_s <= RISE_READINGS * cell.spec.balance.period_s + RISES * _late_s(cell)
+
+
+def _late_s(cell: Cell) -> float:
+    """The delay of the balance, or that of its slow face."""
+    belief = cell.balance_belief
+    return 2.0 * belief.lag_s * (math.exp(belief.doubt) if belief.adapts else 1.0)
 
 
 def weigh_before_dose(cell: Cell, allowed_mg: float) -> Steps[tuple[Gross, StableMean]]:
@@ -219,8 +235,7 @@ def weigh_left(cell: Cell, before: Gross) -> Steps[StableMean]:
 
     A balance that is late shows what was before, and calls it stable: it is weighed again once it must show what is.
     """
-    mean, belief = (yield from cell.right_of_way.stable_mean()), cell.balance_belief
-    delay_s = 2.0 * belief.lag_s * (math.exp(belief.doubt) if belief.adapts else 1.0)
+    mean, delay_s = (yield from cell.right_of_way.stable_mean()), _late_s(cell)
     for _ in range(LOOKS if delay_s > PROMPT_S else 0):
         last = weighing_of(mean)
         yield from pause(cell.clock, delay_s)

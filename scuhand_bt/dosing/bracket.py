@@ -135,6 +135,22 @@ def fallen_mg(readings_mg: Sequence[float]) -> float:
     return max(0.0, float((highest_mg - medians_mg[FELL_READINGS:]).max()))
 
 
+def rising_s(before: Gross, curve: Sequence[tuple[float, float]], after: Gross) -> float:
+    """How long the gain between two weighings took from a fifth to four fifths, by medians of the readings in between.
+
+    Where readings are missing it may have taken all that time.
+    """
+    half, times_s, medians_mg = FELL_READINGS // 2, np.empty(0), np.empty(0)
+    if len(curve) >= FELL_READINGS:
+        times_s, readings_mg = np.transpose(curve)
+        times_s = times_s[half:-half]
+        medians_mg = np.median(sliding_window_view(readings_mg, FELL_READINGS), axis=1)
+    times_s = np.concatenate(([before.time_s], times_s, [after.time_s]))
+    shares = (medians_mg - before.gross_mg) / (after.gross_mg - before.gross_mg)
+    shares = np.concatenate(([0.0], shares, [1.0]))
+    return float(times_s[np.flatnonzero(shares < 0.8)[-1] + 1] - times_s[(shares > 0.2).argmax() - 1])
+
+
 def unseen_mg(stepped_mg: float, drift_mg_per_s: float, lasted_s: float) -> float:
     """What the largest step and drift that a run has seen add to the standard uncertainty of a dose that hides others.
 

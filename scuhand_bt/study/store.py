@@ -16,7 +16,7 @@ from scuhand_bt.study.change import files_hash, modules_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
 RECIPES_KEPT = 64
-"""Files of trials in the user's cache, those asked for last: a recipe that is gone, or has another name, asks no more."""
+"""Files of trials in the user's cache, those asked for last: a recipe that is gone or renamed asks no more."""
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table'"
 
