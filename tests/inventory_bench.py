@@ -25,6 +25,12 @@ class Answering:
         self.answers = list(answers)
         self.asked: list[tuple[str, tuple[str, ...]]] = []
 
+    def expect(self) -> None:
+        """Who answers is there anyway."""
+
+    def dismiss(self) -> None:
+        """And stays."""
+
     def ask(self, question: str, choices: tuple[str, ...]) -> Steps[str]:
         self.asked.append((question, choices))
         return self.answers.pop(0)
