@@ -232,6 +232,12 @@ class Answers:
     def __init__(self, answer: str) -> None:
         self._answer = answer
 
+    def expect(self) -> None:
+        pass
+
+    def dismiss(self) -> None:
+        pass
+
     def ask(self, question: str, choices: Sequence[str] = ("done",)) -> Steps[str]:
         yield from ()
         return self._answer if self._answer in choices else choices[0]
