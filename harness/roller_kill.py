@@ -27,6 +27,7 @@ from py_trees.common import Status
 
 from harness.kill import BROKEN, journals
 from scuhand_bt.clock import Clock, Steps, Wake
+from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import SkillFailed
@@ -239,7 +240,7 @@ class Twins:
         return answer
 
 
-class Hands:
+class Hands(Operator):
     """The person at the cell, who does what is asked."""
 
     def __init__(self, clock: Clock) -> None:
@@ -252,12 +253,6 @@ class Hands:
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
         return choices[0]
-
-    def expect(self) -> None:
-        pass
-
-    def dismiss(self) -> None:
-        pass
 
     def ask_until(
         self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
