@@ -21,11 +21,12 @@ from scuhand_bt.device_specs.changer import ChangerSpec
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.recipe.plan import Job
-from scuhand_bt.report.live import LiveView
+from scuhand_bt.report.live import LiveView, PlainLines
 from scuhand_bt.report.picture import Picture
 from scuhand_bt.report.watching import shown_of
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, say_wish
+from scuhand_bt.run.observers import Observers
 from scuhand_bt.run.operator import ANSWER_S, AT_HAND, SimulatedOperator
 from scuhand_bt.run.simulation import DryRun
 
@@ -77,8 +78,9 @@ def test_who_is_called_comes_while_the_job_before_goes_on(tmp_path: Path, rests_
 
 
 def test_every_face_tells_of_whom_is_going_to_be_asked_until_that_job_begins(tmp_path: Path) -> None:
-    run = make_run(tmp_path)
-    run.go(Watch())
+    run, lines = make_run(tmp_path), list[str]()
+    run.go(Observers(Watch(), PlainLines(lines.append, 3)))
+    assert (lines[0], lines.count(SOON)) == (SOON, 1)
     for time_s, soon in ((1.0, SOON), (told(run, "asked")[0], ""), (1000.0, "")):
         now = Follower(run.journal, until_s=time_s)
         assert Page(now).news(is_held=True)["soon"] == soon

@@ -404,6 +404,25 @@ def test_in_a_browser_it_sorts_its_tables_and_keeps_nobody_out(ran: Ran, tmp_pat
         assert serious_faults(page) == []
 
 
+@needs_browser
+@pytest.mark.slow
+def test_in_a_browser_the_hashes_of_files_that_differ_are_seen_whole_without_scrolling(
+    ran: Ran, tmp_path: Path, browser: Any
+) -> None:
+    lab = make_lab(tmp_path / "lab")
+    skill = lab / "skills" / "park.py"
+    skill.write_text(skill.read_text(encoding="utf-8") + "# of ours\n", encoding="utf-8")
+    other = dry_run(tmp_path, BATCH, controller=None, seed=3, lab=lab)
+    with open_contents(ran.journal) as a, open_contents(other.journal) as b:
+        (tmp_path / "two.html").write_text(comparison(a, b), encoding="utf-8")
+    digest = hashlib.sha256(skill.read_bytes()).hexdigest()
+    with browser_page(browser, viewport={"width": 1200, "height": 844}) as page:
+        page.goto((tmp_path / "two.html").as_uri())
+        files = page.locator(".wide").nth(1)
+        assert digest in files.inner_text()
+        assert files.evaluate("it => it.scrollWidth - it.clientWidth") == 0
+
+
 @pytest.mark.slow
 def test_the_report_of_a_night_is_small_and_quick(tmp_path: Path) -> None:
     recipe = (starter_lab() / "recipes" / "xrd_holders.yaml").read_text(encoding="utf-8")

@@ -63,6 +63,9 @@ class PlainLines(BatchObserver):
         if job.sample is None or self._each_action:
             self._write(f"{job.name}")
 
+    def person_called(self, soon: PersonSoon) -> None:
+        self._write(str(soon))
+
     def sample_ended(self, result: SampleResult) -> None:
         words, before = in_words(result), self._ended.get(result.id)
         if result.verdict == "not run":

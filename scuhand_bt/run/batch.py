@@ -340,7 +340,9 @@ class Batch:
         """Call who is needed at the next job, once for all attempts at this one."""
         if self._called_at is not job and (person := self._plan.soon(job)) is not None:
             self._called_at = job
-            self._journal.event(PersonSoon(job=person.job or "", what=person.what))
+            soon = PersonSoon(job=person.job or "", what=person.what)
+            self._journal.event(soon)
+            self._observer.person_called(soon)
             self._cell.operator.expect()
 
     def _note_outcome(self, sample_id: str | None, attempt: int, outcome: Outcome) -> None:

@@ -2,6 +2,7 @@
 
 from py_trees.behaviour import Behaviour
 
+from scuhand_bt.journal.events import PersonSoon
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.tree.build import Tree
@@ -21,6 +22,9 @@ class BatchObserver:
 
     def attempt_started(self, job: Job, attempt: int) -> None:
         """An attempt at a job, or at a recovery, begins or is taken up."""
+
+    def person_called(self, soon: PersonSoon) -> None:
+        """A person is going to be asked for something at the next job, and may come meanwhile."""
 
     def sample_ended(self, result: SampleResult) -> None:
         """A sample has its result, or another one than it had."""
@@ -57,6 +61,10 @@ class Observers(BatchObserver):
     def attempt_started(self, job: Job, attempt: int) -> None:
         for one in self._each:
             one.attempt_started(job, attempt)
+
+    def person_called(self, soon: PersonSoon) -> None:
+        for one in self._each:
+            one.person_called(soon)
 
     def sample_ended(self, result: SampleResult) -> None:
         for one in self._each:
