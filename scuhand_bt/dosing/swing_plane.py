@@ -16,6 +16,7 @@ the one that is asked for, or as much more as keeps the apex and the rest of the
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,8 +103,13 @@ class Flat:
     def __init__(self, vessel: Vessel, stroke: Stroke, ladle: Ladle) -> None:
         self._vessel, self._stroke, self._ladle = vessel, stroke, ladle
         around = np.linspace(0.0, math.pi, 13)
-        self._around = np.stack([np.cos(around), np.sin(around)], axis=1)
+        self._down, self._across = np.cos(around), np.sin(around)
         self._shares = np.array([0.25, 0.5, 0.75, 0.9, 1.0])
+        self._along_handle_mm = np.linspace(ladle.slant_mm - CLAMP_MM, ladle.handle_mm, 10)
+        of_sheet_mm = np.full(len(self._shares) * len(around), min(stroke.gap_mm, 0.0) - SLACK_MM)
+        of_handle_mm = np.full(len(self._along_handle_mm), ladle.handle_radius_mm)
+        of_handle_mm[-1] = WRIST_RADIUS_MM
+        self._kept_mm = np.concatenate([[APEX_CLEAR_MM], of_sheet_mm, of_handle_mm + HANDLE_GAP_MM])
         half = np.linspace(0.0, math.pi, AROUND_EDGE)
         flat = np.stack([np.cos(half), np.sin(half), np.zeros(AROUND_EDGE)], axis=1)
         up = np.array([0.0, 0.0, vessel.depth_mm])
@@ -147,8 +153,8 @@ class Flat:
     def _longest(self, poses: list[Pose]) -> list[Pose]:
         """The run of poses across most of the vessel in which nothing touches and the cone is not tipped backwards."""
         runs: list[list[Pose]] = [[]]
-        for pose in poses:
-            if pose.tilt_rad >= 0.0 and self._clear(pose, with_handle=True):
+        for pose, is_clear in zip(poses, self._clear(poses, with_handle=True), strict=True):
+            if pose.tilt_rad >= 0.0 and is_clear:
                 runs[-1].append(pose)
             elif runs[-1]:
                 runs.append([])
@@ -161,12 +167,7 @@ class Flat:
         Where none does, it is as asked, and the pose is none that the stroke can use.
         """
         grid = np.radians(np.arange(self._stroke.attack_deg, STEEPEST_DEG + ATTACK_GRID_DEG, ATTACK_GRID_DEG))
-        needed = np.array(
-            [
-                self._least(lip_mm, float(phi), float(rim_mm), grid)
-                for lip_mm, phi, rim_mm in zip(lips_mm, steep, rims_mm, strict=True)
-            ]
-        )
+        needed = self._least(lips_mm, steep, rims_mm, grid)
         # The largest nearby, and then the mean of those: never less than is needed, and without a jump.
         reach = max(1, round(EVENED_MM / STEP_MM))
         padded = np.pad(needed, 2 * reach, mode="edge")
@@ -175,19 +176,38 @@ class Flat:
         evened: Floats = np.lib.stride_tricks.sliding_window_view(largest, window).mean(axis=1)
         return evened
 
-    def _least(self, lip_mm: Floats, steep: float, rim_mm: float, grid: Floats) -> float:
-        """The first attack of a grid [rad] that is clear, looked for roughly before exactly; or its first."""
-        # Of most attacks the apex alone tells that they are not: of all of them at once at the price of one.
-        inclines, slant_mm = steep - grid, self._ladle.slant_mm
-        along_mm, up_mm = lip_mm[0] - slant_mm * np.cos(inclines), lip_mm[1] - slant_mm * np.sin(inclines)
-        apexes_mm = np.stack([along_mm, np.zeros_like(grid), up_mm], axis=1)
+    def _least(self, lips_mm: Floats, steep: Floats, rims_mm: Floats, grid: Floats) -> Floats:
+        """At each lip the first attack of a grid [rad] that is clear, looked for roughly before exactly; or its first.
+
+        Of all lips at once: one pose costs hardly less than a hundred.
+        """
+        # Of most attacks the apex alone tells that they are not.
+        inclines, slant_mm = steep[:, None] - grid, self._ladle.slant_mm
+        along_mm, up_mm = lips_mm[:, :1] - slant_mm * np.cos(inclines), lips_mm[:, 1:] - slant_mm * np.sin(inclines)
+        apexes_mm = np.stack([along_mm, np.zeros_like(along_mm), up_mm], axis=-1)
         may_be = self._vessel.clearance_mm(apexes_mm) > APEX_CLEAR_MM - ROUNDING_MM
 
-        def is_clear(n: int) -> bool:
-            return bool(may_be[n]) and self._clear(self._at(lip_mm, steep, float(grid[n]), rim_mm))
+        def clear(lips: NDArray[np.intp], attacks: NDArray[np.intp]) -> NDArray[np.bool_]:
+            """(n,): which of these lips are clear, each with an attack of the grid."""
+            is_clear = may_be[lips, attacks]
+            tried = zip(lips[is_clear], attacks[is_clear], strict=True)
+            is_clear[is_clear] = self._clear(
+                [self._at(lips_mm[k], float(steep[k]), float(grid[n]), float(rims_mm[k])) for k, n in tried]
+            )
+            return is_clear
 
-        near = next((n for n in range(0, len(grid), COARSELY) if is_clear(n)), 0)
-        return float(grid[next(n for n in range(max(0, near - COARSELY + 1), near + 1) if n == near or is_clear(n))])
+        first = np.zeros(len(steep), dtype=np.intp)
+        left = np.arange(len(steep))
+        for n in range(0, len(grid), COARSELY):
+            found = clear(left, np.full(len(left), n))
+            first[left[found]] = n
+            left = left[~found]
+        left = np.flatnonzero(first)
+        for before in range(COARSELY - 1, 0, -1):
+            found = clear(left, first[left] - before)
+            first[left[found]] -= before
+            left = left[~found]
+        return grid[first]
 
     def _at(self, lip_mm: Floats, steep: float, attack: float, rim_mm: float) -> Pose:
         slant_mm = self._ladle.slant_mm
@@ -224,7 +244,7 @@ class Flat:
                 first.risen(way_mm * share * math.cos(back), way_mm * share * math.sin(back))
                 for share in np.linspace(1.0, 0.0, math.ceil(way_mm / STEP_MM), endpoint=False).tolist()
             ]
-            if all(self._clear(pose, with_handle=True) for pose in poses):
+            if self._clear(poses, with_handle=True).all():
                 return poses
         return None
 
@@ -234,7 +254,7 @@ class Flat:
         along_mm, up_mm = last.apex_mm
         for tilt in np.linspace(last.tilt_rad, 0.0, max(2, math.ceil(math.degrees(last.tilt_rad) / STEP_DEG) + 1)):
             pose = Pose((along_mm, up_mm), float(tilt), last.rim_mm)
-            while not self._clear(pose, with_handle=True):
+            while not self._clear([pose], with_handle=True).all():
                 up_mm += STEP_MM
                 if up_mm > self._vessel.depth_mm + OVER_EDGE_MM + self._ladle.slant_mm:
                     raise NoStrokeError("the cone cannot be turned upright")
@@ -249,40 +269,63 @@ class Flat:
 
     # What is clear ----------------------------------------------------------------------------------
 
-    def _clear(self, pose: Pose, *, with_handle: bool = False) -> bool:
-        """Whether apex and sheet, and the handle, keep from the vessel what they are to keep."""
-        points, kept_mm = self._points(pose, with_handle)
-        if not (self._vessel.clearance_mm(points) >= kept_mm).all():
-            return False
-        return not with_handle or self._from_edge_mm(pose) >= min(self._stroke.gap_mm, 0.0) - SLACK_MM
-
-    def _from_edge_mm(self, pose: Pose) -> float:
-        """How far the sheet is from the vessel's edge, which may come between its points; negative within the cone."""
-        slant_mm, alpha = self._ladle.slant_mm, _half_angle_rad(pose.rim_mm, self._ladle.slant_mm)
-        from_apex_mm = self._edge_mm - np.array([pose.apex_mm[0], 0.0, pose.apex_mm[1]])
-        along_mm = from_apex_mm @ np.array([math.sin(pose.tilt_rad), 0.0, math.cos(pose.tilt_rad)])
-        aside_mm = np.sqrt(np.maximum((from_apex_mm**2).sum(axis=1) - along_mm**2, 0.0))
-        on_slant_mm = along_mm * math.cos(alpha) + aside_mm * math.sin(alpha)
-        off_mm = aside_mm * math.cos(alpha) - along_mm * math.sin(alpha)
-        beside = (on_slant_mm > 0.0) & (on_slant_mm < slant_mm) & (along_mm < slant_mm * math.cos(alpha))
-        return float(off_mm[beside].min(initial=math.inf))
-
-    def _points(self, pose: Pose, with_handle: bool) -> tuple[Floats, Floats]:
-        """Points of cone and handle (m, 3), y across the swing, and how far each is to be from the vessel (m,)."""
-        slant_mm, alpha = self._ladle.slant_mm, _half_angle_rad(pose.rim_mm, self._ladle.slant_mm)
-        sine, cosine = math.sin(pose.tilt_rad), math.cos(pose.tilt_rad)
-        axis, down, across = np.array([sine, 0.0, cosine]), np.array([cosine, 0.0, -sine]), np.array([0.0, 1.0, 0.0])
-        generators = math.cos(alpha) * axis + math.sin(alpha) * (
-            self._around[:, :1] * down + self._around[:, 1:] * across
+    def _clear(self, poses: Sequence[Pose], *, with_handle: bool = False) -> NDArray[np.bool_]:
+        """(n,): whether apex and sheet, and the handle, keep from the vessel what they are to keep."""
+        if not poses:
+            return np.zeros(0, dtype=bool)
+        half_rad = [_half_angle_rad(pose.rim_mm, self._ladle.slant_mm) for pose in poses]
+        # Of Python's own: numpy's differ in the last digit, with how many there are.
+        turned = np.array(
+            [
+                (math.sin(pose.tilt_rad), math.cos(pose.tilt_rad), math.sin(alpha), math.cos(alpha), *pose.apex_mm)
+                for pose, alpha in zip(poses, half_rad, strict=True)
+            ]
         )
-        apex_mm = np.array([pose.apex_mm[0], 0.0, pose.apex_mm[1]])
-        sheet_mm = apex_mm + slant_mm * (self._shares[:, None, None] * generators).reshape(-1, 3)
-        points = [apex_mm[None, :], sheet_mm]
-        kept = [np.array([APEX_CLEAR_MM]), np.full(len(sheet_mm), min(self._stroke.gap_mm, 0.0) - SLACK_MM)]
+        points_mm = self._points_mm(turned, with_handle)
+        clear_mm = self._vessel.clearance_mm(points_mm) - self._kept_mm[: points_mm.shape[1]]
+        is_clear: NDArray[np.bool_] = clear_mm.min(axis=1) >= 0.0
         if with_handle:
-            along_mm = np.linspace(slant_mm - CLAMP_MM, self._ladle.handle_mm, 10)
-            points.append(apex_mm + along_mm[:, None] * (math.cos(alpha) * axis - math.sin(alpha) * down))
-            handle_mm = np.full(len(along_mm), self._ladle.handle_radius_mm)
-            handle_mm[-1] = WRIST_RADIUS_MM
-            kept.append(handle_mm + HANDLE_GAP_MM)
-        return np.concatenate(points), np.concatenate(kept)
+            is_clear &= self._from_edge_mm(turned) >= min(self._stroke.gap_mm, 0.0) - SLACK_MM
+        return is_clear
+
+    def _from_edge_mm(self, turned: Floats) -> Floats:
+        """(n,): how far the sheet is from the vessel's edge, which may come between its points; negative within it."""
+        sine, cosine, sine_half, cosine_half, apex_x_mm, apex_z_mm = turned.T[:, :, None]
+        slant_mm = self._ladle.slant_mm
+        x_mm, y_mm, z_mm = self._edge_mm[:, 0] - apex_x_mm, self._edge_mm[:, 1], self._edge_mm[:, 2] - apex_z_mm
+        along_mm = x_mm * sine + z_mm * cosine
+        aside_mm = np.sqrt(np.maximum(x_mm**2 + y_mm**2 + z_mm**2 - along_mm**2, 0.0))
+        on_slant_mm = along_mm * cosine_half + aside_mm * sine_half
+        off_mm = aside_mm * cosine_half - along_mm * sine_half
+        beside = (on_slant_mm > 0.0) & (on_slant_mm < slant_mm) & (along_mm < slant_mm * cosine_half)
+        least_mm: Floats = off_mm.min(axis=1, initial=math.inf, where=beside)
+        return least_mm
+
+    def _points_mm(self, turned: Floats, with_handle: bool) -> Floats:
+        """(n, m, 3): the apex, points of the sheet, and of the handle; y across the swing.
+
+        `turned` (n, 6) has each pose's sine and cosine of the tilt and of the half angle, and the apex.
+        """
+        sine, cosine, sine_half, cosine_half, x_mm, z_mm = turned.T[:, :, None]
+        slants_mm = self._ladle.slant_mm * self._shares[:, None]
+
+        def on_sheet_mm(generators: Floats) -> Floats:
+            return (slants_mm * generators[:, None, :]).reshape(len(turned), self._shares.size * self._down.size)
+
+        parts = [
+            (x_mm, np.zeros_like(x_mm), z_mm),
+            (
+                x_mm + on_sheet_mm(cosine_half * sine + sine_half * (self._down * cosine)),
+                on_sheet_mm(sine_half * self._across),
+                z_mm + on_sheet_mm(cosine_half * cosine - sine_half * (self._down * sine)),
+            ),
+        ]
+        if with_handle:
+            along_mm = self._along_handle_mm
+            handle = (
+                x_mm + along_mm * (cosine_half * sine - sine_half * cosine),
+                x_mm * np.zeros_like(along_mm),
+                z_mm + along_mm * (cosine_half * cosine + sine_half * sine),
+            )
+            parts.append(handle)
+        return np.stack([np.concatenate(of_axis, axis=1) for of_axis in zip(*parts, strict=True)], axis=-1)

@@ -74,14 +74,11 @@ def shape_mesh(thing: pin.GeometryObject) -> Mesh:
     a, b, c = (points_m[hull.simplices[:, k]] for k in range(3))
     inside_out = (np.cross(b - a, c - a) * outward).sum(axis=1) < 0
     triangles = np.where(inside_out[:, None], hull.simplices[:, ::-1], hull.simplices)
-    # Side k of a triangle is opposite its corner k, where its neighbour k lies.
-    sharp = [
-        sorted(np.delete(hull.simplices[one], side))
-        for one, neighbours in enumerate(hull.neighbors)
-        for side, other in enumerate(neighbours)
-        if one < other and outward[one] @ outward[other] < _SHARP
-    ]
-    return Mesh(thing.name, points_m, triangles, np.array(sharp, dtype=np.intp).reshape(-1, 2))
+    # Side k of a triangle is opposite its corner k, where its neighbour k lies; of two neighbours one tells it.
+    sides = np.sort(hull.simplices[:, [[1, 2], [0, 2], [0, 1]]], axis=2)
+    cosines = (outward[:, None] * outward[hull.neighbors]).sum(axis=2)
+    is_first = np.arange(len(hull.simplices))[:, None] < hull.neighbors
+    return Mesh(thing.name, points_m, triangles, sides[is_first & (cosines < _SHARP)])
 
 
 def _surface_points_m(shape: coal.CollisionGeometry) -> Floats:

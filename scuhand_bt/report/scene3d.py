@@ -3,7 +3,7 @@
 Everything is taken from the scene that motions are planned in: what is drawn is what is kept clear of.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,8 +38,7 @@ def scene_values(
         cones.append({"mm": diameter_mm, "solids": [*_solids(planner.scene(), is_sheet=True)]})
     for kind in containers:
         planner.set_geometry(container=kind)
-        solids = [one for one in _solids(planner.scene(), is_sheet=False) if one["name"] not in bare]
-        on_pan.append({"name": kind.name, "solids": solids})
+        on_pan.append({"name": kind.name, "solids": [*_solids(planner.scene(), is_sheet=False, besides=bare)]})
     return {
         "joints": [_joint(scene.model, k) for k in range(1, scene.model.njoints)],
         "solids": [*_solids(scene, is_sheet=False)],
@@ -57,11 +56,14 @@ def _joint(model: pin.Model, k: int) -> dict[str, Any]:
     return {"at": _placement(model.jointPlacements[k]), "axis": _plain(axis)}
 
 
-def _solids(scene: Scene, *, is_sheet: bool) -> Iterable[dict[str, Any]]:
-    """Of the sheet alone, or of all but the sheet and the table. The arm's own shapes come first, then the sheet's."""
+def _solids(scene: Scene, *, is_sheet: bool, besides: Container[str] = ()) -> Iterable[dict[str, Any]]:
+    """Of the sheet alone, or of all but the sheet and the table, `besides` these.
+
+    The arm's own shapes come first, then the sheet's.
+    """
     for k, thing in enumerate(scene.shapes.geometryObjects):
         of_sheet = k >= scene.arm_shapes and thing.parentJoint > 0
-        if of_sheet != is_sheet or thing.name == "table":
+        if of_sheet != is_sheet or thing.name == "table" or thing.name in besides:
             continue
         mesh = shape_mesh(thing)
         kind = "standing" if thing.parentJoint == 0 and k >= scene.arm_shapes else "arm"
