@@ -4,7 +4,7 @@ Recipes (`on_failure`) and workflows (`retry: {on: [...]}`) branch on the codes.
 codes of its own (`Skill.failures`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -71,13 +71,24 @@ class Failure:
 class SkillFailed(Exception):  # noqa: N818 - it reads as the sentence it is raised in
     """An action failed in a way the catalogue knows; the tree turns it into FAILURE.
 
-    `code` is a key of the catalogue, `detail` says what happened this time, with its numbers.
+    `code` is a key of the catalogue, `detail` says what happened this time, with its numbers; where that takes long to
+    find out, a function that does: who tries something else next never asks.
     """
 
-    def __init__(self, code: str, detail: str) -> None:
-        super().__init__(f"{code}: {detail}")
+    def __init__(self, code: str, detail: str | Callable[[], str]) -> None:
+        super().__init__(code, detail)
         self.code = str(code)
-        self.detail = detail
+        self._detail = detail
+
+    @property
+    def detail(self) -> str:
+        """What happened this time."""
+        if not isinstance(self._detail, str):
+            self._detail = self._detail()
+        return self._detail
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.detail}"
 
     def __reduce__(self) -> tuple[type["SkillFailed"], tuple[str, str]]:
         """From one process to another: by what happened, not by its text."""

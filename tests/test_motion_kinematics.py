@@ -1,4 +1,5 @@
 import math
+import pickle
 import subprocess
 import sys
 
@@ -9,6 +10,7 @@ from scuhand_bt.device_specs.hand import HandSpec
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion.collision import Arm, Scene
+from scuhand_bt.motion.explain import require_reachable
 from scuhand_bt.motion.inverse import finest, solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import (
     COUNT_RAD,
@@ -142,6 +144,20 @@ def test_a_pose_too_far_says_by_how_much_and_a_reachable_one_near_is_found():
     near = nearest_reachable(pose, MOUNT, ALONE)
     assert unreachable_reason(near, MOUNT) is None
     assert np.linalg.norm(near.position_m - pose.position_m) < 0.3
+
+
+def test_who_does_not_ask_why_a_pose_is_out_of_reach_waits_for_no_search(monkeypatch):
+    """A skill that tries one way after another stood for a second before each next one."""
+    searched = []
+    monkeypatch.setattr("scuhand_bt.motion.explain.nearest_reachable", lambda pose, *_: searched.append(pose))
+    pose = ApexPose(np.array([0.7, 0.0, 0.1]))
+    with pytest.raises(SkillFailed) as failed:
+        require_reachable(pose, "the pose", MOUNT, ALONE)
+    assert (failed.value.code, searched) == ("arm.unreachable", [])
+    assert failed.value.detail.startswith("the pose: ")
+    assert str(failed.value) == f"arm.unreachable: {failed.value.detail}"
+    assert str(pickle.loads(pickle.dumps(failed.value))) == str(failed.value)
+    assert searched == [pose], "once"
 
 
 @pytest.mark.slow

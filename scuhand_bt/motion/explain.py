@@ -24,12 +24,15 @@ def require_reachable(pose: ApexPose, name: str, mount: Mount, scene: Scene) -> 
     reason = unreachable_reason(pose, mount, scene.limits_rad)
     if reason is None:
         return
-    near = nearest_reachable(pose, mount, scene)
-    instead = "nothing near can be reached"
-    if near is not None:
+
+    def said() -> str:
+        near = nearest_reachable(pose, mount, scene)  # a second's search
+        if near is None:
+            return f"{name}: {reason}; nothing near can be reached"
         x, y, z = near.position_m * 1e3
-        instead = f"the nearest apex position it can take is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
-    raise SkillFailed(Code.ARM_UNREACHABLE, f"{name}: {reason}; {instead}")
+        return f"{name}: {reason}; the nearest apex position it can take is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+
+    raise SkillFailed(Code.ARM_UNREACHABLE, said)
 
 
 def start_in_collision(scene: Scene, q: Floats) -> SkillFailed:
