@@ -65,15 +65,17 @@ def test_what_two_runs_of_the_same_cell_have_planned_beside_each_other_is_kept_o
     tmp_path: Path, searches: list[object]
 ) -> None:
     """Of three that began together the last one's plans were left."""
-    first, second = planner(tmp_path), planner(tmp_path)
-    ways = [first.move(first.home(), "away"), second.move(second.home(), "away", spill_limit_deg=20.0)]
-    first.keep_plans()
-    second.keep_plans()
+    limits_deg = (10.0, 20.0)
+    beside = [planner(tmp_path) for _ in limits_deg]
+    for one, limit_deg in zip(beside, limits_deg, strict=True):
+        one.move(one.home(), "away", spill_limit_deg=limit_deg)
+    for one in beside:
+        one.keep_plans()
     searches.clear()
-    third = planner(tmp_path)
-    again = [third.move(third.home(), "away"), third.move(third.home(), "away", spill_limit_deg=20.0)]
+    for limit_deg in limits_deg:
+        last = planner(tmp_path)
+        last.move(last.home(), "away", spill_limit_deg=limit_deg)
     assert searches == []
-    assert [way.coefficients.tobytes() for way in again] == [way.coefficients.tobytes() for way in ways]
 
 
 def test_a_cell_in_which_something_else_stands_is_planned_anew(tmp_path: Path, searches: list[object]) -> None:
