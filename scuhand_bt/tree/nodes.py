@@ -113,7 +113,7 @@ class Retry(_Counted):
 
 
 class Repeat(_Counted):
-    """Run the child `times` times; fails when the child fails. The listener is told when it is done, as of a `Retry`."""
+    """Run the child `times` times; fails when the child fails. The listener is told when it is done."""
 
     count = "times"
 

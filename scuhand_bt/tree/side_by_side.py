@@ -104,7 +104,10 @@ def _check_records(node: Branch, library: Library, problems: Problems) -> None:
 
 
 def _recorded(node: TreeNode, library: Library, depth: int, seen: set[tuple[str, int]]) -> Iterator[tuple[str, int]]:
-    """The names recorded in a tree and its calls, each with the number of loops around it, as each appends its round."""
+    """The names recorded in a tree and its calls, each with the number of loops around it.
+
+    Each loop appends the number of its round to the name.
+    """
     if isinstance(node, Call) and node.name == RECORD:
         yield from ((name, depth) for name in node.arguments)
     elif isinstance(node, Call) and node.name in library.workflows and (node.name, depth) not in seen:
