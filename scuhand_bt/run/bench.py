@@ -29,7 +29,7 @@ NOT_WITHOUT_A_RECIPE = {
 
 
 def find_plants(lab: Lab) -> None:
-    """Make modules of the lab and of the working folder importable, for plants. They come last, so they hide nothing."""
+    """Make modules of the lab and the working folder importable, for plants. They come last, so they hide nothing."""
     sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
 
 

@@ -201,9 +201,7 @@ class WishListener:
         return questions.give(number, answer, who) or HEARD
 
     def _proven(self, name: str | None, pin: str | None, user: int) -> Who | None:
-        """Who that is: the given name, or the user's name in the system. None if a missing or wrong PIN fails to prove
-        it.
-        """
+        """Who that is: the given name, or the user's name in the system. None if a PIN does not prove it."""
         try:
             named = person_name(name if name is not None else _name_of(user))
             if named not in self._persons.names():

@@ -59,7 +59,7 @@ def conflicts(plan: Plan, cell: CellSpec, stock: Stock) -> list[Conflict]:
 
 
 def require_resolvable(found: Sequence[Conflict], *, unattended: bool) -> None:
-    """Raises SourceError for conflicts that no answer settles; for all of them if unattended, as nobody can be asked."""
+    """Raises SourceError for conflicts that no answer settles; if unattended for all, as nobody can be asked."""
     problems = [conflict.problem for conflict in found if unattended or not conflict.answers]
     if problems:
         raise SourceError(problems)

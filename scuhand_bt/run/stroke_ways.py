@@ -29,7 +29,7 @@ STEP_DEG = 30
 LEAST_BED_MG = 30.0
 """A mortar with less than this is not scooped any more."""
 WORTH_SHARE = 0.01
-"""A stroke is to bring at least this share of bed and load limit, or `LEAST_BED_MG`. To a run, less means that the
+"""A stroke is to bring at least this share of bed and load limit, or `LEAST_BED_MG`. A run takes less to mean that the
 mortar is empty."""
 
 FIRST_SHARE = 0.08
@@ -159,7 +159,7 @@ def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
 def strokes_along(
     cell: CellSpec, source: Source, bed_mg: float, wanted_mg: float, along_deg: Sequence[float]
 ) -> Iterator[Stroke]:
-    """The strokes tried in such a bed to bring `wanted_mg`. Raises MortarCannotBeScooped if they would bring nothing."""
+    """The strokes tried in such a bed to bring `wanted_mg`. MortarCannotBeScooped if they would bring nothing."""
     stroke_in(cell, source, bed_mg)
     ladle = Ladle.of(cell.hand)
     bed = bed_for(source.mortar, bed_mg, source.powder, ladle)

@@ -339,7 +339,7 @@ class _Elsewhere:
         return True
 
     def _do(self, moved: Sequence[Place]) -> bool:
-        """Whether the plan has all its ways with mortars at these places; False if none is moved, as it then has not."""
+        """Whether the plan has all its ways with mortars at these places. Without a move it is known not to."""
         if not moved:
             return False
         cell = self._cell_with(moved, ())
