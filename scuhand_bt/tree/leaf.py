@@ -22,8 +22,7 @@ from scuhand_bt.tree.substitutes import Substitutes
 from scuhand_bt.tree.wires import in_words
 
 REST_S = 1.0
-"""How long the devices may take to come to rest after the skill has ended [s]; a wide open valve takes 0.7 s. A skill
-whose devices run on longer is faulty."""
+"""Time for the devices to come to rest after the skill's end [s]. A wide open valve takes 0.7 s."""
 REJOINING = ("arm", "balance")
 """The devices that `Rejoin` uses."""
 
@@ -306,8 +305,7 @@ class SkillLeaf(Behaviour):
         is_open = self._recorded is not None
         also: tuple[str, ...] = REJOINING if replay.is_to_rejoin else ()
         if is_open and not also and self.skill.settle is not Skill.settle:
-            # `settle` gets the arm; whichever action has it comes to its end, however long that takes.
-            also, self._began_waiting_s = ("arm",), now_s
+            also, self._began_waiting_s = ("arm",), now_s  # for `settle`; waits for whatever action has it
         if wakes := self._lacks((*dict.fromkeys((*self.skill.devices, *also)),)):
             shared.wait(self, *wakes)
             return False
@@ -326,10 +324,7 @@ class SkillLeaf(Behaviour):
         return True
 
     def _lacks(self, devices: Sequence[str]) -> list[Wake]:
-        """Lease these devices and the skill's zones. Returns what to wait for; empty if they are leased.
-
-        Raises SkillFailed if they have not become free in time.
-        """
+        """Lease these and the skill's zones; returns what to wait for, if anything. SkillFailed after too long."""
         leases = self._shared.leases
         if leases.take(devices, self, self.skill.zones):
             return []
@@ -353,8 +348,7 @@ class SkillLeaf(Behaviour):
             if shared.rejoining is self:
                 shared.rejoining = None
                 shared.going_on.fire()
-        # Lease again only what the skill itself needs. As the arm's holder it could have a zone in which the arm
-        # stands; without the arm it cannot, and has to wait until that is out.
+        # Only what the skill itself needs: without the arm, it has to wait for zones in which that stands.
         shared.leases.give_back(self)
         self._began_waiting_s = shared.cell.clock.now_s
         while self._lacks(self.skill.devices):
@@ -382,7 +376,7 @@ def bug_of(name: str, error: BaseException) -> SkillBug:
 
 
 def is_explained(skill: type[Skill[Any]], failure: SkillFailed) -> bool:
-    """Whether the failure's code is in the catalogue or declared by the skill, so that others can name it."""
+    """Whether recipes and workflows can name this failure: by the catalogue, or the skill itself."""
     return failure.code in CATALOGUE or failure.code in skill.failures
 
 
