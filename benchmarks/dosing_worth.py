@@ -49,7 +49,7 @@ def differences(pairs: Sequence[Pair]) -> Iterator[tuple[float, float, str]]:
     yield counted("out", "false 'in tolerance'")
     told = sum(after["reported"] - before["reported"] for before, after in pairs)
     untold = sum(of["doses"] - of["reported"] for pair in pairs for of in pair)
-    yield told, math.sqrt(untold), f"told good {100.0 * told / doses:+.1f} points"
+    yield told, math.sqrt(untold), f"reported good {100.0 * told / doses:+.1f} points"
     mean_mg = sum(after["mean_mg"] - before["mean_mg"] for before, after in pairs) / len(pairs)
     yield mean_mg, _chance(pairs, "sd_mg", None), f"mean error {mean_mg:+.2f} mg"
     slower = sum(math.log(after["mean_s"] / before["mean_s"]) for before, after in pairs) / len(pairs)

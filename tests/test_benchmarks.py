@@ -368,7 +368,7 @@ FIGURES = {
         ({"true": 90.0, "over": 8}, "success -8.0 points, too much 8 for 1"),
         ({"beyond_20mg": 5, "out": 5}, "> 20 mg 5 for 0, false 'in tolerance' 5 for 0"),
         ({"mean_mg": 0.1, "mean_s": 12.0}, "mean error +0.20 mg, time x 1.20"),
-        ({"reported": 80}, "told good -17.0 points"),
+        ({"reported": 80}, "reported good -17.0 points"),
     ],
 )
 def test_worth_is_told_where_it_is_more_than_chance(changed: dict[str, float], told: str) -> None:
