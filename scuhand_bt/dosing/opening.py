@@ -39,7 +39,7 @@ class Opening:
     """An opening, from the command to open until it should shut."""
 
     def __init__(self, known: Knowledge, most_mg: float, lump_mg: float) -> None:
-        """`most_mg`: the limit of the constraint. `lump_mg`: a lump's share, 0 where lumps are not shaken out singly."""
+        """`most_mg`: the limit of the constraint. `lump_mg`: a lump's share, 0 unless lumps are shaken out singly."""
         self._known, self._most_mg, self._lump_mg = known, most_mg, lump_mg
         self._first_reference = known.reference
         self._begins_mm = begins_mm(known, most_mg - known.bank.mass_mg)
