@@ -142,8 +142,7 @@ def pour_rest(cell: Cell, source: Source) -> Steps[None]:
 
 
 def slides_out(cell: Cell, source: Source) -> bool:
-    """Whether powder slides out of a tilted cone: its wall friction or its repose is less than the slope of the sheet's
-    lower side."""
+    """Whether powder slides out of a tilted cone: its friction or repose is less than the sheet's slope."""
     half_deg = math.degrees(math.asin(cell.hand.cone_diameter_mm / 2.0 / cell.spec.hand.sheet_radius_mm))
     slope_deg = POURING_DEG[-1] + half_deg - 90.0
     return min(source.powder.wall_friction_deg, source.powder.repose_deg) < slope_deg

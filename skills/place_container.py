@@ -126,16 +126,14 @@ class PlaceContainer(Skill[None]):
         return [one.name for one in cell.of_job] if begins else [self.container.name]
 
     def _short_of(self, cell: Cell) -> str | None:
-        """The kind that the changer has too few of; None where it has enough, or where this container has its slot
-        already."""
+        """The kind that the changer has too few of; None if it has enough, or has this container's slot."""
         if cell.changer.needs_person or self.container.id in cell.believed.slots:
             return None
         changer = cell.spec.changer
         return changer.short_of(slots_used(cell.believed, changer), self._kinds(cell))
 
     def _fill(self, cell: Cell, kind: str) -> Steps[None]:
-        """Have the operator fill all slots; the pan is bare meanwhile, as a container there would have its slot filled
-        too.
+        """Have the operator fill all slots, the pan being bare: the slot of a container there is filled, too.
 
         Raises SkillFailed operator.refused.
         """

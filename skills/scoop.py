@@ -47,8 +47,7 @@ if TYPE_CHECKING:
 RICH_YIELD, RICH_AIM = 1.25, 0.8
 """RICH_YIELD: the yield (what a source's scoops bring, as a multiple of what is expected) from which less is aimed at.
 RICH_AIM: the share of the load limit aimed at then, as such loads were up to a quarter heavier than believed. It also
-applies after a load that lacked much: poured back as a heap, it gave 4.1 g on average where at most 3.7 g was
-allowed."""
+applies after a load that lacked much: poured back as a heap, it gave 4.1 g on average where 3.7 g were allowed."""
 MAY_YIELD = 2.0
 """The largest yield allowed for in a source whose yield is unknown. With a true yield of 2, first loads were up to 10 g
 where the cone may carry 5 g, and each was believed to be half of what it was."""

@@ -31,8 +31,7 @@ from scuhand_bt.dosing.shaking import FAR_MG, FULL, shaken
 MOST_OPENINGS = 200
 """Most openings of a dose."""
 LOOKED, LOOKED_SD_MG, LEAST_SD_MG = 3, 0.3, 0.05
-"""After a look, the mass is the mean of LOOKED readings with this standard deviation; a stable mean has LEAST_SD_MG at
-least."""
+"""After a look, the mass is the mean of LOOKED readings, known to LOOKED_SD_MG; by a stable mean, to LEAST_SD_MG."""
 LISTENED = 12
 """Readings from which an unknown balance's noise is learnt."""
 PROBE_MG = 40.0

@@ -29,8 +29,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scuhand_bt.dosing.controller import LONGEST_UNWEIGHED_S
 
 AGREEMENT = 4.0
-"""Two results of one thing agree within this many standard deviations of their difference; chance exceeds it in 1 of 16
-000."""
+"""Results of one thing agree within so many standard deviations of their difference; by chance 1 in 16 000 do not."""
 HARDLY, RARELY, SURELY = 2.0, 2.5, 3.0
 """Limits of a drift that is chance, in its standard deviations, exceeded in 1 of 20, of 80 and of 400."""
 SOUND_DIGITS_PER_S = 0.05
@@ -132,8 +131,7 @@ def fallen_mg(readings_mg: Sequence[float]) -> float:
 
 
 def rising_s(before: Gross, curve: Sequence[tuple[float, float]], after: Gross) -> float:
-    """How long the gain between two weighings took from a fifth to four fifths [s], by medians of the readings in
-    between.
+    """How long the gain between two weighings took from a fifth to four fifths [s], by medians of readings.
 
     Where readings are missing it may have taken all that time.
     """

@@ -173,8 +173,7 @@ def _is_beyond(run: int, noise: Sequence[int]) -> bool:
 
 
 def noise_and_drift(curve: Curve) -> tuple[float, float]:
-    """Standard deviation of a reading about a line [mg], and the line's slope [mg/s], of a pan on which nothing
-    changes. Needs at least three readings."""
+    """Noise about a line [mg], and the line's slope [mg/s], of at least three readings at rest."""
     times_s, values_mg = zip(*curve, strict=True)
     slope, start_mg = statistics.linear_regression(times_s, values_mg)
     off_mg = [value_mg - start_mg - slope * time_s for time_s, value_mg in curve]

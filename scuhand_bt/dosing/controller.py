@@ -83,8 +83,7 @@ class Finish:
     doubt: Doubt | None = None
     """The first doubt of this dose."""
     shaken_mg: float | None = None
-    """What came only shaken, after powder last came unshaken; None if it never did, or the controller does not watch
-    this."""
+    """What came only shaken, after powder last came unshaken; None if it never did, or this is not watched."""
 
 
 Command = Pulse | Stream | Weigh | Finish

@@ -93,8 +93,7 @@ class Bank:
 
     @classmethod
     def believing(cls, balance: BalanceBelief, surge_mg: float) -> "Bank":
-        """The bank of a balance as it is believed, with a little weight on longer delays, as it may have been set
-        slower.
+        """The bank of a balance as believed, with a little weight on longer delays: it may have been set slower.
 
         A balance set faster is never assumed: a sheet that has stuck and lets out more than expected looks the same.
         """

@@ -43,8 +43,7 @@ CLEARER = 30.0
 LIKE = 3.0
 """If more than this remains, in variances of a reading, the two curves are not of one filter."""
 SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3
-"""A step must show undisguised in SEEN_READINGS, by this share and these standard deviations; else it is the curve's
-shape."""
+"""A step must show undisguised in SEEN_READINGS, by this share and deviations; else it is the curve's own shape."""
 GAP_S = 0.2
 """Interval at which powder may come where readings are missing."""
 LEAST_DIGITS, MOST_MG = 5.0, 50.0

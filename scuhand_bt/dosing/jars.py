@@ -272,8 +272,7 @@ def sure_doses(
 
 
 def _end_mm(mortar: Mortar, sheet_radius_mm: float, gap_mm: float) -> float:
-    """Where a stroke at such a gap ends: at the floor's end, or before it where the cone, as it turns, would pour
-    there."""
+    """Where a stroke at such a gap ends: at the floor's end, or earlier if the turning cone would pour there."""
     stroke = along_floor(mortar, sheet_radius_mm)
     if gap_mm <= mortar.depth_mm / 2:
         return stroke.end_mm

@@ -60,8 +60,7 @@ GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
 NEAR_MG = 20.0
 """On a balance that adapts an opening ends this far short of the aim; the rest comes out of others (`near`)."""
 FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
-"""Share of the difference by which the reference follows the flow at each sight; the second where it is surely
-stronger."""
+"""Share of the difference by which the reference follows the flow at each sight; if that is surely stronger."""
 LEAST_WEIGHT = 0.2
 """Least weight of a dose against those before it."""
 
@@ -126,8 +125,7 @@ class Knowledge:
     def act(
         self, opening_mm: float, vibration: float, hold_s: float = math.inf
     ) -> Generator[Command, Observation, float]:
-        """Hold a command until the next reading, or for `hold_s`; returns the reading's innovation in standard
-        deviations."""
+        """Hold a command until the next reading, or for `hold_s`; returns the innovation [standard deviations]."""
         before_mm = self._known_gap_mm
         self.valve.command(self.time_s, opening_mm)
         changed = math.log(self._known_gap_mm / before_mm) if opening_mm > 0.0 else 0.0

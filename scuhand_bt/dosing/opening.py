@@ -19,13 +19,11 @@ CONFIRMS = 0.75
 PAUSED_S = 0.5
 """After a pause longer than this and the delay, powder may have been let out all the while."""
 QUIET_S, MOST_QUIET_S = 0.8, 2.0
-"""Nothing comes if nothing was seen for QUIET_S and the balance's delay, of which MOST_QUIET_S counts at most
-(`quiet`)."""
+"""Nothing comes if nothing was seen for QUIET_S and the balance's delay, or MOST_QUIET_S of it (`quiet`)."""
 FLOWS = 0.2
 """A flow of at least this share of its reference is what was expected."""
 ALARM = 1.3
-"""Near the target, a flow surely this many times the expected one shuts the valve: the sheet has slipped
-(`surprise`)."""
+"""Near the target, a flow surely so many times the expected one shuts the valve: the sheet slipped (`surprise`)."""
 SURPRISE = 5.0
 """So does a reading this many standard deviations above its prediction."""
 SHAKE_S = 0.8

@@ -37,8 +37,7 @@ SETTLES = 5.0
 BARREN_SHARE = 0.2
 """A pulse that brings less than this share of what was expected was in vain."""
 DOUBTED_PULSES, LOWERED, GIVEN_UP_PULSES = 8, 0.8, 20
-"""After so many pulses in vain in a row, each lowers the coefficient by LOWERED; after GIVEN_UP_PULSES the dose
-ends."""
+"""After so many pulses in vain in a row each lowers the coefficient by LOWERED; after the last number the dose ends."""
 
 
 def within(room_mg: float, surge_mg: float) -> float:

@@ -54,8 +54,7 @@ LEFT_SHARE, THICKER_MM = 0.05, 0.5
 """In a nearly full bowl strokes get less deep in steps of THICKER_MM, until one pushes nothing over the edge. One that
 brings less than LEFT_SHARE of the first is not made."""
 SWEPT_SHARE = 0.6
-"""A stroke that takes all begins at least this share of the way up the wall, as what others have left lies beside
-them."""
+"""A stroke that takes all begins so far up the wall at least, as what others have left lies beside them."""
 REACHED = 0.85
 """Share of a bed already scooped from that a stroke which takes all is expected to bring; the rest lies beside its rim.
 Ours, by the height field."""
@@ -298,8 +297,7 @@ def _on_strip_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """The mass that a stroke brings if the sheet bends and nothing slips past it: of a thin bed, far more than
-    expected.
+    """The mass that a stroke brings if the sheet bends and nothing slips past: of a thin bed far more.
 
     If the last stroke has bent, too, and its load was poured back, that lies as a heap on the way.
     """

@@ -21,8 +21,7 @@ from scuhand_bt.dosing.vessel import Vessel
 TURN_RAD_PER_S = 1.2
 """Turning speed of axis and handle; slow enough to throw no powder."""
 FREE_MM_PER_S = 150.0
-"""Least speed of lip and apex with the lip off the wall: the cone is empty, or rises straight up and tips nothing
-out."""
+"""Least speed of lip and apex with the lip off the wall: the cone is empty, or rises straight up."""
 
 
 @dataclass(frozen=True, slots=True)
