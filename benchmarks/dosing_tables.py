@@ -34,7 +34,7 @@ def read(path: Path) -> dict[Key, Figures]:
 def shipped(results: Mapping[Key, Figures]) -> list[str]:
     """Each powder and target: three controllers side by side, and of `adaptive` how it errs."""
     lines = [
-        "| powder | mg | true [%] | told [%] | error [mg] | worst, > 20 mg | time [s] | of `paper` | of `oracle` |",
+        "| powder | mg | true [%] | reported [%] | error [mg] | worst, > 20 mg | time [s] | of `paper` | of `oracle` |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for powder, target_mg in dict.fromkeys(key[1:3] for key in results if key[0] == CALIBRATED):
@@ -54,7 +54,7 @@ def shipped(results: Mapping[Key, Figures]) -> list[str]:
 
 def redo(results: Mapping[Key, Figures]) -> list[str]:
     lines = [
-        "| powder | mg | doses | true, 95 % [%] | told [%] | worst [mg] | time [s] |",
+        "| powder | mg | doses | true [%], 95 % | reported [%] | worst [mg] | time [s] |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for (row, powder, target_mg, _), figures in results.items():

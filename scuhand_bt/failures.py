@@ -71,14 +71,20 @@ class Failure:
 class SkillFailed(Exception):  # noqa: N818 - it reads as the sentence it is raised in
     """An action failed in a way the catalogue knows; the tree turns it into FAILURE.
 
-    `code` is a key of the catalogue, `detail` says what happened this time, with its numbers; where that takes long to
-    find out, a function that does: who tries something else next never asks.
+    `code` is a key of the catalogue, `detail` says what happened this time, with its numbers.
     """
 
-    def __init__(self, code: str, detail: str | Callable[[], str]) -> None:
+    def __init__(self, code: str, detail: str) -> None:
         super().__init__(code, detail)
         self.code = str(code)
-        self._detail = detail
+        self._detail: str | Callable[[], str] = detail
+
+    @staticmethod
+    def that_says(code: str, say: Callable[[], str]) -> "SkillFailed":
+        """One whose detail takes long to find out: who tries something else next never asks for it."""
+        failure = SkillFailed(code, "")
+        failure._detail = say
+        return failure
 
     @property
     def detail(self) -> str:

@@ -67,7 +67,7 @@ class Dosed:
 
 def shipped_powders() -> dict[str, Powder]:
     """The powders of `robot/powders.yaml`."""
-    read = yaml.safe_load((ROBOT / "powders.yaml").read_text(encoding="utf-8"))
+    read = yaml.load((ROBOT / "powders.yaml").read_text(encoding="utf-8"), yaml.CSafeLoader)  # at once
     return {name: Powder.model_validate({"name": name, **values}) for name, values in read.items()}
 
 

@@ -13,9 +13,15 @@ from scuhand_bt.lab import read_lab
 from scuhand_bt.run.checking import check
 
 CORPUS = Path(__file__).parent / "corpus"
-MISTAKES: list[dict[str, Any]] = yaml.safe_load((CORPUS / "mistakes.yaml").read_text(encoding="utf-8"))
-SKILLS: list[dict[str, Any]] = yaml.safe_load((CORPUS / "skills.yaml").read_text(encoding="utf-8"))
-CONTROLS: list[dict[str, Any]] = yaml.safe_load((CORPUS / "controls.yaml").read_text(encoding="utf-8"))
+
+
+def cases(name: str) -> list[dict[str, Any]]:
+    """A file of the corpus; by libyaml, as every process of tests reads all of them."""
+    read: list[dict[str, Any]] = yaml.load((CORPUS / f"{name}.yaml").read_text(encoding="utf-8"), yaml.CSafeLoader)
+    return read
+
+
+MISTAKES, SKILLS, CONTROLS = (cases(name) for name in ("mistakes", "skills", "controls"))
 NAMES = {"recipe": "recipes/one.yaml", "tree": "trees/mine.yaml"}
 TREE = """\
 workflow: mine

@@ -61,6 +61,23 @@ def test_the_next_planner_of_the_same_cell_searches_for_nothing_and_answers_the_
     assert searches == []
 
 
+def test_what_two_runs_of_the_same_cell_have_planned_beside_each_other_is_kept_of_both(
+    tmp_path: Path, searches: list[object]
+) -> None:
+    """Of three that began together the last one's plans were left."""
+    limits_deg = (10.0, 20.0)
+    beside = [planner(tmp_path) for _ in limits_deg]
+    for one, limit_deg in zip(beside, limits_deg, strict=True):
+        one.move(one.home(), "away", spill_limit_deg=limit_deg)
+    for one in beside:
+        one.keep_plans()
+    searches.clear()
+    for limit_deg in limits_deg:
+        last = planner(tmp_path)
+        last.move(last.home(), "away", spill_limit_deg=limit_deg)
+    assert searches == []
+
+
 def test_a_cell_in_which_something_else_stands_is_planned_anew(tmp_path: Path, searches: list[object]) -> None:
     planned(tmp_path)
     searches.clear()
@@ -69,14 +86,16 @@ def test_a_cell_in_which_something_else_stands_is_planned_anew(tmp_path: Path, s
     assert len(list(tmp_path.glob("*.npz"))) == 2
 
 
-def test_another_balance_or_port_is_no_other_geometry_and_another_hand_is(
+def test_another_balance_port_or_sheet_is_no_other_geometry_and_another_hand_is(
     tmp_path: Path, searches: list[object]
 ) -> None:
     first = planned(tmp_path)
     searches.clear()
     arm = LAB.cell.arm.model_copy(update={"driver": "simulated", "port": "/dev/elsewhere"})
     balance = LAB.cell.balance.model_copy(update={"readability_mg": 1.0})
-    assert planned(tmp_path, LAB.cell.model_copy(update={"arm": arm, "balance": balance})) == first
+    stiffer = LAB.cell.hand.model_copy(update={"sheet_thickness_mm": 0.6})
+    others = {"arm": arm, "balance": balance, "hand": stiffer}
+    assert planned(tmp_path, LAB.cell.model_copy(update=others)) == first
     assert searches == []
     longer = LAB.cell.hand.model_copy(update={"apex_offset_mm": 125.0})
     planned(tmp_path, LAB.cell.model_copy(update={"hand": longer}))

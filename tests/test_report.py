@@ -65,6 +65,12 @@ def page_of(journal: Path) -> str:
         return page_of_run(contents)
 
 
+@pytest.fixture(scope="module")
+def whole(ran: Ran) -> str:
+    """The page of `ran`."""
+    return page_of(ran.journal)
+
+
 def time_of(journal: Path) -> TimeSpent:
     with open_contents(journal) as contents:
         return time_spent(contents)
@@ -75,23 +81,21 @@ def is_refused(err: str) -> bool:
     return "is to be a file of this kind" in " ".join(err.replace("│", " ").split())
 
 
-def test_the_page_fetches_nothing_and_no_text_of_a_recipe_becomes_markup(ran: Ran) -> None:
-    text = page_of(ran.journal)
-    page = Tables(text)
+def test_the_page_fetches_nothing_and_no_text_of_a_recipe_becomes_markup(whole: str) -> None:
+    page = Tables(whole)
     assert [link for link in page.fetched if not link.startswith(("data:application/gzip;base64,", "#"))] == []
     assert page.elements.count("script") == 4, "the tables' own, and the viewer's with what it shows"
-    assert EVIL not in text
-    assert text.count(escape(EVIL)) >= 3, "its summary, its powder and the recipe"
-    assert "default-src 'none'" in text
+    assert EVIL not in whole
+    assert whole.count(escape(EVIL)) >= 3, "its summary, its powder and the recipe"
+    assert "default-src 'none'" in whole
 
 
-def test_its_banner_says_that_no_powder_was_moved(ran: Ran) -> None:
-    assert "SIMULATED: no powder was moved" in Tables(page_of(ran.journal)).text
+def test_its_banner_says_that_no_powder_was_moved(whole: str) -> None:
+    assert "SIMULATED: no powder was moved" in Tables(whole).text
 
 
-def test_the_runs_summary_and_every_dose_with_its_curve_are_in_it(ran: Ran) -> None:
-    text = page_of(ran.journal)
-    page = Tables(text)
+def test_the_runs_summary_and_every_dose_with_its_curve_are_in_it(ran: Ran, whole: str) -> None:
+    page = Tables(whole)
     good = sum(sample.is_good for sample in ran.result.samples)
     assert f"{good} of {len(ran.result.samples)}samples good" in page.text
     assert [row[0] for row in page.found["Doses"][1:]] == [sample.id for sample in ran.result.samples]
@@ -100,7 +104,7 @@ def test_the_runs_summary_and_every_dose_with_its_curve_are_in_it(ran: Ran) -> N
     dosed_mg = sum(dose.dispensed_mg for sample in ran.result.samples for dose in sample.doses)
     assert f"{format_mass(dosed_mg)}dosed" in page.text
     for sample in ran.result.samples:
-        assert f"The course of the dose of {escape(sample.id)}" in text
+        assert f"The course of the dose of {escape(sample.id)}" in whole
     assert page.elements.count("figure") == len(ran.result.samples)
 
 
@@ -142,13 +146,13 @@ def test_ids_in_another_script_are_drawn_as_text_without_a_word_about_fonts(tmp_
     assert any(">試料</text>" in picture for picture in pictures)
 
 
-def test_who_reads_the_times_of_jobs_sees_their_unit(ran: Ran) -> None:
+def test_who_reads_the_times_of_jobs_sees_their_unit(whole: str) -> None:
     """It stood in the table's name alone, which only a screen reader says."""
-    assert "Run time, of each job in seconds." in Tables(page_of(ran.journal)).text
+    assert "Run time, of each job in seconds." in Tables(whole).text
 
 
-def test_the_data_in_it_are_what_export_writes(ran: Ran, tmp_path: Path, command: Call) -> None:
-    links = dict(re.findall(r'download="([^"]+)" href="data:application/gzip;base64,([^"]+)"', page_of(ran.journal)))
+def test_the_data_in_it_are_what_export_writes(ran: Ran, whole: str, tmp_path: Path, command: Call) -> None:
+    links = dict(re.findall(r'download="([^"]+)" href="data:application/gzip;base64,([^"]+)"', whole))
     for suffix in ("csv", "json"):
         assert command("export", ran.journal, f"--{suffix}", "-o", tmp_path / f"r.{suffix}")[0] == 0
         packed = base64.b64decode(links[f"{ran.journal.stem}.{suffix}.gz"])
@@ -244,9 +248,9 @@ def test_the_powder_of_each_source_adds_up(ran: Ran) -> None:
     assert (beads.start_mg, msg.start_mg) == (20_000.0, 8_000.0)
 
 
-def test_books_that_close_are_not_told_as_weighed(ran: Ran) -> None:
+def test_books_that_close_are_not_told_as_weighed(whole: str) -> None:
     """It was told with the doses' uncertainty alone, -0.2 ± 0.1 mg, where 200 mg were elsewhere."""
-    page = Tables(page_of(ran.journal))
+    page = Tables(whole)
     heads, *rows = next(table for table in page.found.values() if table and "not booked" in table[0])
     assert [row[heads.index("not booked")].count("±") for row in rows] == [0, 0]
     assert [row[heads.index("dosed, weighed")].count("±") for row in rows] == [1, 1]
@@ -265,8 +269,8 @@ def test_what_failed_and_who_did_what_is_told(tmp_path: Path) -> None:
     assert "--faults" in page.text
 
 
-def test_how_to_do_it_again_is_told(ran: Ran) -> None:
-    page = Tables(page_of(ran.journal))
+def test_how_to_do_it_again_is_told(ran: Ran, whole: str) -> None:
+    page = Tables(whole)
     assert "scuhand-bt run recipe.yaml --dry-run --seed 3" in page.text
     assert ran.session.journal.head in page.text
     assert ran.session.plan.recipe.hash in page.text
@@ -386,9 +390,9 @@ def test_the_pdf_is_one(ran: Ran, tmp_path: Path, command: Call) -> None:
 
 
 @needs_browser
-def test_in_a_browser_it_sorts_its_tables_and_keeps_nobody_out(ran: Ran, tmp_path: Path, browser: Any) -> None:
+def test_in_a_browser_it_sorts_its_tables_and_keeps_nobody_out(whole: str, tmp_path: Path, browser: Any) -> None:
     path = tmp_path / "r.html"
-    path.write_text(page_of(ran.journal), encoding="utf-8")
+    path.write_text(whole, encoding="utf-8")
     with browser_page(browser, viewport={"width": 390, "height": 844}, color_scheme="dark") as page:
         page.goto(path.as_uri())
         assert page.evaluate("document.documentElement.scrollWidth") <= 390, "nothing but the tables scrolls sideways"

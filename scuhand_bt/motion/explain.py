@@ -32,7 +32,7 @@ def require_reachable(pose: ApexPose, name: str, mount: Mount, scene: Scene) -> 
         x, y, z = near.position_m * 1e3
         return f"{name}: {reason}; the nearest apex position it can take is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
 
-    raise SkillFailed(Code.ARM_UNREACHABLE, said)
+    raise SkillFailed.that_says(Code.ARM_UNREACHABLE, said)
 
 
 def start_in_collision(scene: Scene, q: Floats) -> SkillFailed:

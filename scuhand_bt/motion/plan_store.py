@@ -30,6 +30,8 @@ _MOVING = ("arm", "hand", "stations", "geometry", "zones")
 """What a cell tells of motion; another balance, say, is none of it."""
 _WIRING = {"driver", "port", "options"}
 """What an arm or a hand is reached by, not what it is."""
+_PRESSED = {"sheet_thickness_mm"}
+"""By which a skill reckons how hard a lip may be pressed; no way is another by it."""
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """What reading a file that was cut off, or is none of these, raises."""
 
@@ -38,16 +40,21 @@ class PlanStore:
     """The kept plans of one geometry. A folder that cannot be read or written keeps nothing, and says nothing."""
 
     def __init__(self, folder: Path, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar]) -> None:
-        moving = cell.model_dump(include=set(_MOVING), exclude={"arm": _WIRING, "hand": _WIRING}, warnings=False)
+        of_no_way = {"arm": _WIRING, "hand": _WIRING | _PRESSED}
+        moving = cell.model_dump(include=set(_MOVING), exclude=of_no_way, warnings=False)
         depends = (_source(), urdf, repr(moving), sorted((name, repr(mortar)) for name, mortar in mortars.items()))
         self._path = folder / f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.npz"
-        self._plans: dict[str, tuple[Floats, Floats]] = {}
+        self._plans = self._written()
         self._is_new = self._has_written = False
-        with suppress(*_UNREADABLE), self._path.open("rb") as file, np.load(file, allow_pickle=False) as found:
-            names = [name.removesuffix(".knots") for name in found.files if name.endswith(".knots")]
-            self._plans = {name: (found[f"{name}.knots"], found[f"{name}.cubics"]) for name in names}
         with suppress(OSError):
             os.utime(self._path)  # what is in use is not the oldest
+
+    def _written(self) -> dict[str, tuple[Floats, Floats]]:
+        """What is in the file, by whomever."""
+        with suppress(*_UNREADABLE), self._path.open("rb") as file, np.load(file, allow_pickle=False) as found:
+            names = [name.removesuffix(".knots") for name in found.files if name.endswith(".knots")]
+            return {name: (found[f"{name}.knots"], found[f"{name}.cubics"]) for name in names}
+        return {}
 
     def found(self, request: str, spill_limit_deg: float | None) -> JointTrajectory | None:
         """The plan of a request, unproven; None if there is none."""
@@ -72,12 +79,12 @@ class PlanStore:
         self._is_new = True
 
     def write(self) -> None:
-        """All of them to the file, if there is a new one; the oldest geometries' files go."""
+        """All of them to the file beside what others wrote there, if there is a new one; the oldest files go."""
         self._has_written = True
         if not self._is_new:
             return
         arrays = {}
-        for name, (knots_s, coefficients) in self._plans.items():
+        for name, (knots_s, coefficients) in {**self._written(), **self._plans}.items():
             arrays[f"{name}.knots"], arrays[f"{name}.cubics"] = knots_s, coefficients
         with suppress(OSError):
             folder = self._path.parent

@@ -1,1 +1,1 @@
-"""A recipe, from its text and tables to the samples and jobs of a plan."""
+"""A recipe: from its text and tables to checked samples, and to the jobs of a plan."""

@@ -1,8 +1,8 @@
-"""Whether a workflow doses what a sample asks: its `mass`, within its `tolerance`, into its container.
+"""Checks that a workflow doses what its sample asks for: its `mass`, within its `tolerance`, into its container.
 
-A sample is refused where none of the ways of its workflow (`recipe/flow.py`) leads to what it asks, and warned of where
-a later dose counts in place of the asked one. What is known only when it runs is told then (`not as asked`,
-run/outcome.py).
+A sample is refused if no path through its workflow (`recipe/flow.py`) doses that. It gets a warning if a later dose of
+the same lot into the same container may replace the asked one. What only the run can know is reported then (`not as
+asked`, run/outcome.py).
 """
 
 import math
@@ -16,7 +16,10 @@ from scuhand_bt.tree.library import Library
 
 
 def check_asked(samples: Sequence[Sample], library: Library, problems: Problems) -> None:
-    """Note each place at which checked workflows dose otherwise than samples ask, once."""
+    """Report every place where a checked workflow doses something else than its samples ask for.
+
+    Samples with the same mistake at the same place share one problem.
+    """
     wrong, added = dict[tuple[Mark, str], dict[str, str]](), dict[tuple[Mark, str], dict[str, str]]()
     for sample in samples:
         for mark, what, fix in _wrong(sample, library):
@@ -35,7 +38,7 @@ def _of_all(said: Mapping[str, str]) -> str:
 
 
 def _wrong(sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:
-    """Where a sample's workflow doses otherwise than it asks, how, and what to write."""
+    """Where a sample's workflow doses something else than it asks for: the place, what is wrong, and the remedy."""
     for ask in sample.asks:
         yield from _wrong_of(ask, _aims(ask, sample), sample, library)
     if sample.composition is not None:
@@ -47,7 +50,7 @@ def _wrong(sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:
 
 
 def _into(sample: Sample) -> list[Pour]:
-    """The doses that may be the last of their place, into what its mass may be for."""
+    """The doses that may be the last of their place, into containers that the sample's mass may be for."""
     return [aim for aim in sample.flow.last if aim.container is None or sample.is_dosed_into(aim.container)]
 
 
@@ -77,7 +80,7 @@ def _wrong_of(ask: Ask, aims: Sequence[Pour], sample: Sample, library: Library) 
 
 
 def _added(sample: Sample) -> Iterator[tuple[Mark, str, str]]:
-    """Doses behind the asked one, of its lot, into its container, and of a mass that only the run can tell."""
+    """Doses of a mass known only to the run, after the asked one and of the same lot and container."""
     for ask in sample.asks:
         aims = _aims(ask, sample)
         if any(aim.mass_mg is not None and ask.is_for(aim.mass_mg, aim.lot) for aim in aims):
@@ -91,7 +94,7 @@ def _added(sample: Sample) -> Iterator[tuple[Mark, str, str]]:
 
 
 def _is_wider(aim: Pour, ask: Ask) -> bool:
-    """Whether a dose of the asked mass is told to be coarser than asked."""
+    """Whether a dose of the asked mass has a wider tolerance than asked."""
     if aim.mass_mg is None or aim.tolerance_mg is None or ask.tolerance_mg is None:
         return False
     return aim.tolerance_mg > ask.tolerance_mg and not math.isclose(aim.tolerance_mg, ask.tolerance_mg)

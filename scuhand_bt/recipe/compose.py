@@ -1,9 +1,10 @@
-"""`compose`: a sample by the formula of its product. From it come the inputs `sources`, `masses` and `tolerances`.
+"""`compose`: a sample given by the formula of its product, instead of by masses (docs/compose.md).
 
     compose: {product: LiCoO2, amount: 2 g, tolerance: 1 %, from: [Li2CO3 (excess 5 %), Co3O4]}
 
-A sample's own keys go before those of the `defaults`; a mere formula is the product. The workflow is one that takes
-these three lists and a `container`; where it has an input `first`, that is the first of the sources.
+It yields the workflow inputs `sources`, `masses` and `tolerances`, and `first` (the first source) if the workflow has
+that input. The workflow must also take a `container`. A sample's own keys override those of `defaults`; a bare formula
+is the product.
 """
 
 import math
@@ -27,10 +28,10 @@ from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 
 COMPOSE = "compose"
 TAKEN = {"sources": "[Source]", "masses": "[Mass]", "tolerances": "[Mass]"}
-"""The inputs that a composed sample's workflow is given, and their types."""
+"""The inputs that `compose` sets, and the types that the workflow must declare for them."""
 CONTAINER, FIRST = "container", "first"
 IGNORED = ("C", "H", "N", "O")
-"""What comes and goes with the atmosphere, unless a recipe says otherwise."""
+"""Elements exchanged with the atmosphere, which are not balanced unless the recipe says otherwise."""
 MOST_EXCESS, LEAST_EXCESS = 1.0, -0.5
 _EXCESS = re.compile(r"(?P<name>.+?)\s*\(\s*excess\s+(?P<excess>[^()]+?)\s*\)")
 
@@ -39,20 +40,20 @@ class ComposeText(Spec):
     """`compose` as a recipe writes it."""
 
     product: FormulaText
-    """Its formula: Li6.5La3Zr1.5Ta0.5O12."""
+    """Its formula, such as Li6.5La3Zr1.5Ta0.5O12."""
     amount_mg: Annotated[Milligrams, Positive]
-    """Of the product, as its formula says; an excess comes to that."""
+    """Mass of the stoichiometric product; an excess is added to it."""
     powders: Annotated[tuple[str, ...], Field(alias="from", min_length=1)]
-    """Of each powder the formula, its name, or that of a source, and `(excess 10 %)`."""
+    """For each powder its formula, its name or that of a source, with an optional `(excess 10 %)`."""
     tolerance_ratio: Annotated[Ratio, Field(gt=0, lt=1)]
-    """How far each element may be from what the formula asks, as a share of that."""
+    """Largest deviation of each element, relative to what the formula asks for."""
     ignore: tuple[str, ...] = IGNORED
-    """Elements that are not balanced, as they come and go."""
+    """Elements that are not balanced."""
 
 
 @dataclass(frozen=True)
 class Composed:
-    """What `compose` has made: the inputs of the workflow, and what it is to come to."""
+    """The result of `compose`: inputs for the workflow, and the composition to reach."""
 
     inputs: Mapping[str, Any]
     composition: Composition
@@ -63,15 +64,16 @@ class Composed:
 
 
 def takes_composed(workflow: Workflow) -> bool:
-    """Whether a workflow takes what is composed."""
+    """Whether a workflow has the inputs that `compose` sets."""
     types = {name: declared.type.name for name, declared in workflow.inputs.items()}
     return all(types.get(name) == wanted for name, wanted in {**TAKEN, CONTAINER: "Container"}.items())
 
 
 def check_by_hand(workflow: Workflow, inputs: Mapping[str, Any], given: Mapping[str, Node], problems: Problems) -> None:
-    """By hand, too, `first` is the first of the sources: before it no sheet is swapped, so none may come before it.
+    """Check `sources` and `first` where they are written by hand for a workflow that could also be composed for.
 
-    So it may not come again, either; and no other does, as a dose counts what is there of its lot.
+    `first` must be the first of `sources`, as no sheet is swapped before it. No source may be listed twice: a dose
+    counts what the container already holds of its lot.
     """
     first, sources = inputs.get(FIRST), inputs.get("sources")
     if not (takes_composed(workflow) and isinstance(first, Source) and sources):
@@ -89,7 +91,7 @@ def check_by_hand(workflow: Workflow, inputs: Mapping[str, Any], given: Mapping[
 
 @dataclass(frozen=True)
 class Composer:
-    """Composes samples of a recipe's sources; of those that are wrong only `source_marks` has the names."""
+    """Composes samples from a recipe's sources. `source_marks` also names the sources that could not be read."""
 
     sources: Mapping[str, Source]
     source_marks: Mapping[str, Mark]
@@ -97,7 +99,11 @@ class Composer:
     problems: Problems
 
     def of_sample(self, entry: Entries, defaults: Entries, workflow: Workflow) -> tuple[set[str], Composed | None]:
-        """The inputs that come from `compose`, if the sample has one, and what it makes; all that is wrong is noted."""
+        """The names of the inputs that `compose` sets for this sample, and what it yields.
+
+        The set is empty if the sample is not composed. The result is None if something is wrong, which is then
+        reported.
+        """
         own, shared = entry.get(COMPOSE), defaults.get(COMPOSE)
         if not takes_composed(workflow):
             if own is not None and workflow.is_whole:
@@ -131,7 +137,7 @@ class Composer:
         return None
 
     def _composed(self, node: Entries) -> Composed | None:
-        """What a sample is composed of; None where something is wrong, which is noted."""
+        """What the sample is composed of; None if something is wrong, which is then reported."""
         text = validate(ComposeText, node, self.problems)
         items = node.get("from")
         is_sound = text is not None and self._check_ignored(text, node)
@@ -173,7 +179,7 @@ class Composer:
         return not unknown
 
     def _is_told(self, made: Composition, mark: Mark) -> bool:
-        """Whether the balance can tell the tolerances of all doses."""
+        """Whether the balance's readability suffices for the tolerances of all doses."""
         least_mg = self.balance.least_tolerance_mg
         narrow = min(made.powders, key=lambda powder: powder.tolerance_mg)
         if narrow.tolerance_mg >= least_mg:
@@ -186,10 +192,10 @@ class Composer:
         return False
 
     def _chosen(self, item: Node) -> tuple[Source, Lot] | None:
-        """The source and lot of one of the powders."""
+        """The source and lot that one entry of `from` means; None if that is wrong, which is then reported."""
         text = item.text if isinstance(item, Scalar) else None
         if not text:
-            return None  # which was told of already
+            return None  # already reported
         with_excess = _EXCESS.fullmatch(text.strip())
         name, excess = (with_excess["name"], self._excess(with_excess["excess"], item)) if with_excess else (text, 0.0)
         if with_excess is None and re.search(r"\bexcess\b", text):
@@ -224,9 +230,9 @@ class Composer:
         return None
 
     def _source(self, name: str, mark: Mark) -> Source | None:
-        """The one source that is meant: by its name, or its powder's, or the formula of that."""
+        """The one source that is meant, by its own name, its powder's name or its powder's formula."""
         if name in self.source_marks:
-            return self.sources.get(name)  # None for one that is wrong itself, and reported
+            return self.sources.get(name)  # None if the source itself is wrong, which is already reported
         found = [source for source in self.sources.values() if source.powder.name == name]
         if not found:
             try:
@@ -242,7 +248,7 @@ class Composer:
             what = f"'{name}' is in several sources"
             names = " or ".join(f"'{source.name}'" for source in found)
             self.problems.add(mark, what, f"write which: {names}", code="several-sources")
-        elif len(self.sources) == len(self.source_marks):  # else it may be one that is reported
+        elif len(self.sources) == len(self.source_marks):  # else a source that is already reported may be meant
             silent = sorted({one.powder.name for one in self.sources.values() if one.powder.formula is None})
             what = f"no source holds {shorten(name)}"
             what += (
@@ -258,7 +264,10 @@ class Composer:
 
 
 def assay_of(lot: Assay, purity: float) -> tuple[float, float]:
-    """The share of the formula in a lot, p (1 - w), and its relative standard uncertainty."""
+    """The mass fraction of the formula in a lot, p (1 - w), and its relative standard uncertainty.
+
+    Without stated uncertainties, purity is taken as uniform within ± (1 - p), and water within ± w.
+    """
     u_purity, u_water = lot.purity_uncertainty_ratio, lot.water_uncertainty_ratio
     u_purity = (1.0 - purity) / math.sqrt(3.0) if u_purity is None else u_purity
     u_water = lot.water_ratio / math.sqrt(3.0) if u_water is None else u_water
@@ -267,6 +276,6 @@ def assay_of(lot: Assay, purity: float) -> tuple[float, float]:
 
 
 def _is_of(source: Source, formula: Formula) -> bool:
-    """Whether it is the same formula, however it is written."""
+    """Whether a source's powder has this formula, however it is written."""
     mine = source.powder.formula
     return mine is not None and dict(parse_formula(mine).counts) == dict(formula.counts)

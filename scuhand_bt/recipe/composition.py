@@ -1,6 +1,6 @@
-"""What a sample is composed of: of each powder so much, and how many atoms of each element that comes to.
+"""What a sample is to be composed of, and what its result says about that: powders, and atoms of each element.
 
-It is reckoned in `recipe/stoichiometry.py`; here is what a sample is to be, and what its result says of it.
+`recipe/stoichiometry.py` computes both.
 """
 
 from typing import Literal
@@ -8,33 +8,33 @@ from typing import Literal
 from scuhand_bt.events.entry import Text, Values
 
 CompositionVerdict = Literal["in tolerance", "out of tolerance", "open", "not known"]
-"""`open`: in tolerance as far as it is known, and the container is still to go; `not known`: a powder's dose is not."""
+"""`open`: in tolerance so far, but the container has not left the pan yet; `not known`: a powder's dose is unknown."""
 
 
 class ComposedPowder(Values):
     """One powder lot of a composition."""
 
     lot: Text
-    """As doses name it."""
+    """The lot's name, as in doses."""
     formula: Text
     target_mg: float
     tolerance_mg: float
     mg_per_mmol: float
-    """So much of the lot has a mmol of the formula: molar mass / (purity (1 - water))."""
+    """Mass of the lot that contains 1 mmol of the formula: molar mass / (purity (1 - water))."""
     assay_uncertainty: float
-    """Standard uncertainty of that, relative, by the lot's assay."""
+    """Relative standard uncertainty of `mg_per_mmol`, from the lot's assay."""
     counts: dict[str, float]
-    """Atoms of each element that is balanced, in one formula."""
+    """Atoms of each balanced element in one formula unit."""
 
 
 class ElementShare(Values):
-    """One element that is balanced, in atoms per formula of the product, excess included."""
+    """One balanced element, in atoms per formula unit of the product, excess included."""
 
     element: str
     asked: float
     reached: float | None = None
     uncertainty: float | None = None
-    """Standard uncertainty of what was reached."""
+    """Standard uncertainty of `reached`."""
 
     def __str__(self) -> str:
         if self.reached is None or self.uncertainty is None:
@@ -43,15 +43,15 @@ class ElementShare(Values):
 
 
 class Composition(Values):
-    """What a sample was to be composed of; in its result also what that came to."""
+    """What a sample was to be composed of; in its result also what was reached."""
 
     product: Text
     container: Text = ""
-    """Which one of the sample's it is that of."""
+    """Which of the sample's containers this is about."""
     tolerance: float
-    """How far each element may be from what is asked, relative."""
+    """Largest deviation of each element, relative to what is asked for."""
     powders: tuple[ComposedPowder, ...]
-    """In the order in which they are dosed."""
+    """In the order of dosing."""
     elements: tuple[ElementShare, ...]
     verdict: CompositionVerdict = "not known"
 

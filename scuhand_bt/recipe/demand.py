@@ -1,4 +1,4 @@
-"""What samples need of a source: their doses, what scoops lose, what is discarded, and what others of its lot take."""
+"""What samples need of a source: doses, losses of scoops, discarded powder, and what other samples of its lot take."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,23 +13,23 @@ from scuhand_bt.specs import Source
 
 @dataclass(frozen=True)
 class Demand:
-    """What a source has, and what samples take from it: their masses, and what each scoop loses."""
+    """What a source holds, and what samples take from it, including the loss of each scoop."""
 
     source: Source
     doses_mg: tuple[float, ...]
-    """Of each sample that takes of it, in their order, losses included."""
+    """For each sample that takes from it, in the order of the samples, losses included."""
     samples: int
     discarded_mg: float
-    """What their scoops are to bring more, and is discarded before the last one: after that nothing lacks it."""
+    """What scoops bring beyond the doses and is discarded, except after the last of these samples."""
     refilled_mg: float | None
-    """What it holds after the refill that fills it most; None where the plan has none."""
+    """The most that it holds after a refill; None if the plan has no refill."""
 
     @property
     def needed_mg(self) -> float:
         return sum(self.doses_mg)
 
     def doubt_of(self, mass_mg: float) -> str:
-        """Why so much may be too little, though samples need no more; "" where it is enough."""
+        """Why `mass_mg` may run out although the doses need no more; "" if it is enough."""
         if self.discarded_mg == 0.0 or self.needed_mg + self.discarded_mg <= mass_mg:
             return ""
         needs = f"its samples need {format_mass(self.needed_mg)} with losses"
@@ -38,7 +38,7 @@ class Demand:
 
 
 def demand_of(samples: Sequence[Sample], source: Source, refilled_mg: float | None = None) -> Demand:
-    """What these samples need of a source, which refills bring to so much at the most."""
+    """What these samples need of a source; `refilled_mg` is the most that it holds after a refill."""
     users = sum(any(one.name == source.name for one in sample.sources) for sample in samples)
     discarded = [mg for mg in (discarded_mg(sample, source) for sample in samples) if mg > 0.0]
     doses = tuple(mg for mg in (needed_mg(sample, source) for sample in samples) if mg > 0.0)
@@ -46,14 +46,14 @@ def demand_of(samples: Sequence[Sample], source: Source, refilled_mg: float | No
 
 
 def needed_mg(sample: Sample, source: Source) -> float:
-    """What a sample needs of a source, with losses."""
+    """What one sample needs of a source, losses included."""
     return sum(take.needed_mg for take in sample.takes if take.source.name == source.name)
 
 
 def discarded_mg(sample: Sample, source: Source) -> float:
-    """What a sample's last scoop from a source is to bring more than it needs, where that is discarded.
+    """What a sample's last scoop brings beyond the dose and is discarded, for planning.
 
-    Of a mortar that holds little a scoop brings less. It is for planning: what a run discards, only it knows.
+    An estimate: from a mortar that holds little a scoop brings less.
     """
     takes_mg = sum(take.mass_mg or 0.0 for take in sample.takes if take.source.name == source.name)
     if not source.is_discarded or takes_mg == 0.0:
@@ -64,9 +64,9 @@ def discarded_mg(sample: Sample, source: Source) -> float:
 
 
 def lent_mg(samples: Sequence[Sample], source: Source) -> float:
-    """What samples of other sources may take of this one, whose powder is kept in the cone for its lot.
+    """What samples of other sources, but of this source's lot, may take of it while its powder is kept in the cone.
 
-    In their order in the recipe: what comes after the last sample of this source takes nothing that that lacks.
+    In the recipe's order. What is taken after this source's last sample is not counted, as no sample lacks it.
     """
     lent_mg = since_mg = 0.0
     is_kept = False
@@ -89,9 +89,9 @@ def check_demand(
     *,
     may_refill: bool,
 ) -> None:
-    """Each source must hold what its samples need, losses included; one that is refilled, what any of them needs.
+    """Report every source that holds less than its samples need, or, if it is refilled, less than one sample needs.
 
-    `may_refill`: the lab has the workflow by which a person refills one on the way.
+    Losses are included. `may_refill`: the lab has the workflow `refill`.
     """
     for name, source in sources.items():
         demand, most_mg = demand_of(samples, source), max((needed_mg(one, source) for one in samples), default=0.0)
@@ -124,5 +124,5 @@ def check_demand(
 
 
 def _rounded(mass_mg: float, towards: Callable[[float], int]) -> str:
-    """A mass to 0.1 mg as a recipe may have it, on this side of what it is."""
+    """A mass rounded to 0.1 mg by `towards` (ceil or floor), as a recipe may have it."""
     return format_mass(towards(10.0 * mass_mg) / 10.0)

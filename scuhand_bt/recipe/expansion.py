@@ -1,4 +1,4 @@
-"""From what stands under `samples` to single samples: the rows of a table, lists side by side, repeats."""
+"""Expands the entries of `samples` to single samples: rows of a table, parallel lists, repeats."""
 
 import re
 from collections.abc import Callable, Collection, Iterator
@@ -10,7 +10,7 @@ from scuhand_bt.recipe.table import read_table
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse
 
 MAX_SAMPLES = 20_000
-"""The most that one recipe may have."""
+"""Most samples of one recipe: about a week's work for a cell."""
 
 
 ListInputs = Callable[[Entries], Collection[str]]
@@ -19,10 +19,11 @@ ListInputs = Callable[[Entries], Collection[str]]
 def expand(
     node: Node, folder: Path, lab: Path, problems: Problems, list_inputs: ListInputs = lambda entry: ()
 ) -> Iterator[Entries]:
-    """One entry of `samples` as the samples it stands for: the rows of a table, lists, repeats.
+    """The samples that one entry of `samples` stands for.
 
-    A table is named from the recipe's `folder`, and stands there or in the `lab`. Where an entry's workflow takes a
-    list (`list_inputs`), a list is one value, and a list of lists gives one to each sample.
+    A table's path is relative to the recipe's `folder`, and must be within that or the `lab`. `list_inputs` names the
+    inputs of an entry's workflow that take a list: there a list is one value, and a list of lists has one for each
+    sample.
     """
     if not isinstance(node, Entries):
         problems.add(
@@ -54,7 +55,7 @@ def expand(
 
 
 def tables_named(text: str, file: str) -> Iterator[Scalar]:
-    """The tables that the samples of a recipe's text name, as they are written there."""
+    """The tables that the samples of a recipe's text name, as written."""
     root = parse(text, file, "a recipe")
     samples = root.get("samples") if isinstance(root, Entries) else None
     for sample in samples if isinstance(samples, Items) else ():
@@ -64,7 +65,7 @@ def tables_named(text: str, file: str) -> Iterator[Scalar]:
 
 
 def _is_within(path: Path, *folders: Path) -> bool:
-    """Whether a file is in one of these, by whatever links."""
+    """Whether a file is in one of the folders once symbolic links are resolved."""
     try:
         return any(path.resolve().is_relative_to(folder.resolve()) for folder in folders)
     except (OSError, ValueError, RuntimeError):  # a name with a NUL, links in a circle
@@ -76,7 +77,7 @@ def _merge(shared: Entries, row: Entries) -> Entries:
 
 
 def _expand_lists(entry: Entries, problems: Problems, list_inputs: Collection[str]) -> Iterator[Entries]:
-    """Lists side by side give one sample each; `repeat: n` gives n of them."""
+    """Parallel lists give one sample for each of their items; `repeat: n` gives n samples."""
     lists = {
         key: value.items
         for key, value in entry.values.items()

@@ -1,12 +1,12 @@
-"""What a sample's workflow does with powder: where each dose goes to, of which source, and how much.
+"""What a sample's workflow does with powder, found before the run: each dose's container, source and mass.
 
-The tree is followed with the values that are known before the run, through all that it calls and along all of its ways
-at once; the way of an `if` and the rounds of a `for_each` are told, where they can be. A mass that only the run can
-tell has bounds: a dose that succeeded is its target within its tolerance.
+This is an abstract interpretation of the tree. It follows all calls with the values that are known before the run.
+Where the branch of an `if` or the rounds of a `for_each` are known, only those are followed; otherwise all of them,
+and the results are joined (`_Reached.__or__`). A mass that only the run can know gets bounds: a dose that succeeded is
+within its tolerance of its target.
 
-What matters is what is wired where, by its type, and not what it is called: a dose is of the source, and into the
-container, that were named last before it, as values of the types `Source` and `Container`. A condition that is given a
-powder names the source of that powder.
+Only types of wires count, not names. A dose is of the `Source`, and into the `Container`, that a call named last
+before it. A condition that is given a `Powder` names the sources of that powder.
 """
 
 import math
@@ -28,18 +28,20 @@ from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, 
 from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}
-"""What a skill must command to dose: the valve, and what weighs the powder."""
+"""The devices that a skill must command to count as dosing: the valve, and the balance that weighs the powder."""
 KEEPING = "keep"
-"""What a skill that empties the cone calls the `Keeping` that it is given."""
+"""The parameter of type `Keeping` of a skill that empties the cone."""
 TARGET, TOLERANCE = "mass", "tolerance"
-"""What a dosing skill calls what it is asked for; its target may have any name, if it is its only mass."""
+"""The parameters of a dosing skill. Its target may have any other name if it is the only mass that it requires."""
 
 
 @dataclass(frozen=True)
 class _Reached:
-    """What may hold at a place of the tree: the container and source named last, the last doses of each, those of them
-    that are there whichever way led here, how what is in the cone was dealt with since it was scooped, and by which
-    scoop, if it is one.
+    """The abstract state at a place of the tree: what may hold whichever way led there.
+
+    `containers`, `sources`: those that may have been named last. `last`: doses that may be the last of their place;
+    `surely`: those of them that are certain. `leaves`: how the cone's content may have been dealt with since it was
+    scooped. `scoop`: the number of the scoop that it is from, if that is certain.
     """
 
     containers: frozenset[str | None]
@@ -61,7 +63,7 @@ class _Reached:
 
 
 def flow_of(workflow: str, inputs: Mapping[str, Any], library: Library, problems: Problems) -> Flow:
-    """What a checked workflow doses with these inputs; notes what of it must be known before the run, and is not."""
+    """What a checked workflow doses with these inputs. Reports values that must be known before the run and are not."""
     follower = _Follower(library, {source.name: source for source in sources_of(inputs)}, problems)
     begin = _Reached(frozenset({""}), frozenset(follower.sources if len(follower.sources) == 1 else {""}))
     names = Names(Scope(dict(inputs)), {}, {key: key for key in inputs})
@@ -81,7 +83,7 @@ class _Follower:
         self._library = library
         self._problems = problems
         self._scoops: dict[str, Call] = {}
-        """By source, what scoops from it, as the sample's own workflow calls it."""
+        """By source: the call in the sample's own workflow that scoops from it."""
         self._scooped = 0
         self._is_try = False
 
@@ -90,7 +92,7 @@ class _Follower:
         return len(self.sources) > 1
 
     def of(self, node: TreeNode, names: Names, reached: _Reached, at: Call | None) -> _Reached:
-        """What may hold once a node has succeeded; `at` is the call of the sample's own workflow that it is below."""
+        """The state after a node has succeeded. `at` is the call in the sample's own workflow around it, if any."""
         if isinstance(node, Call):
             return self._of_call(node, names, reached, at or node)
         if isinstance(node, Decorator):
@@ -125,14 +127,14 @@ class _Follower:
         )
 
     def _of_try(self, node: TreeNode, names: Names, reached: _Reached, at: Call | None) -> _Reached:
-        """What another try, or way, may stand in for: its doses need not come of one scoop."""
+        """Follow a node that may run again or have an alternative, so that its doses may be from different scoops."""
         before, self._is_try = self._is_try, True
         after = self.of(node, names, reached, at)
         self._is_try = before
         return after
 
     def _of_fallback(self, node: Branch, names: Names, reached: _Reached, at: Call | None) -> _Reached:
-        """Any of its children may end it, after those before had failed at any of their steps."""
+        """Any child may succeed, after those before it have failed at any of their steps."""
         ends: list[_Reached] = []
         lots: list[set[str | None]] = []
         for child in node.children:
@@ -148,7 +150,7 @@ class _Follower:
         return first
 
     def _of_for_each(self, node: Decorator, names: Names, reached: _Reached, at: Call | None) -> _Reached:
-        """Each round in turn, where the lists can be told; else any number of rounds, with any items."""
+        """Each round in turn if the lists are known; else any number of rounds, with any items."""
         lists = self._known(node.arguments, names)
         if lists.keys() != node.arguments.keys():
             return reached | self.of(node.child, names, reached, at)
@@ -163,7 +165,7 @@ class _Follower:
         return reached
 
     def _of_choice(self, node: Choice, names: Names, reached: _Reached, at: Call | None) -> _Reached:
-        """The way that is chosen, where that can be told; else any of them, or none."""
+        """The branch that is chosen, if that is known; else any branch, or none."""
         if is_known(node.argument, names.scope):
             try:
                 number = chosen_case(node, names.scope, self._library)
@@ -193,11 +195,11 @@ class _Follower:
             self._problems.add(node.mark, what, "sources of one powder and lot, or a sequence", code="unknown-sheet")
 
     def _known(self, arguments: Mapping[str, Argument], names: Names, call: Call | None = None) -> dict[str, Any]:
-        """The arguments that are known before the run; notes those that come to nothing."""
+        """The arguments that are known before the run. Reports those that cannot be evaluated."""
         try:
             return known(arguments, names.scope, self._library, call)
         except SkillFailed:
-            pass  # one by one it is told which come to nothing; that takes longer, and is seldom needed
+            pass  # the slower way below finds out which ones fail
         found: dict[str, Any] = {}
         for key, argument in arguments.items():
             try:
@@ -218,7 +220,7 @@ class _Follower:
             for key, argument in node.arguments.items()
             if key not in given and not isinstance(argument, Node)
         }
-        if isinstance(share := given.get(TOLERANCE), Percent):  # of a mass that is not known yet
+        if isinstance(share := given.get(TOLERANCE), Percent):  # a share of a mass that is not known yet
             del given[TOLERANCE]
             ranges[TOLERANCE] = {(): (0.0, share.ratio * ranges.get(TARGET, {}).get((), ANY_NUMBER)[1])}
         inner = Scope(bound_inputs(workflow, given, library, node.arguments.keys() - given.keys()))
@@ -231,7 +233,7 @@ class _Follower:
         return reached
 
     def _named(self, node: Call, given: Mapping[str, Any], reached: _Reached) -> _Reached:
-        """After the containers, sources and powders of a call have been named."""
+        """The state after a call has named its containers, sources and powders."""
         wires = self._library.wires(node)
         containers: set[str | None] = set()
         sources: set[str | None] = set()
@@ -256,7 +258,7 @@ class _Follower:
         return self._library.skills.get(name, object)
 
     def _unknown_source(self, node: Call, key: str, reached: _Reached) -> str | None:
-        """What only the run can tell is one of several; said once, where it is wired first."""
+        """None for one of several sources that only the run knows; reported once, where it is wired first."""
         if not self.is_mixed:
             return next(iter(self.sources), None)
         if None not in reached.sources:
@@ -326,13 +328,13 @@ class _Follower:
         return replace(reached, last=pours | last, surely=pours | surely)
 
     def _warn_of_vain(self, pour: Pour, which: str) -> None:
-        """Of a dose whose mass is in its container by then, as an earlier one of its lot."""
+        """Warn of a dose that an earlier dose of its lot into the same container already fulfils."""
         if pour.mass_mg is not None:
             what = f"{which} gives nothing: so much of its lot is in its container by then, which counts"
             self._problems.warn(pour.mass_mark, what, "write what is to be there in all", code="lot-twice")
 
     def _note_unfit(self, node: Call | Decorator, name: str, refused: Mapping[str, str], names: Names) -> None:
-        """Values that would fail where they are used. Of literals the check of the workflow tells."""
+        """Collect values that would fail where they are used. Literals are left to the check of the workflow."""
         for key, why in refused.items():
             argument = node.arguments[key]
             if not isinstance(argument, Node):
@@ -340,7 +342,7 @@ class _Follower:
                 self.unfit[argument.mark] = Unfit(what, argument.mark, names.input_in(node, key))
 
     def _kept_by(self, node: Call, given: Mapping[str, Any]) -> frozenset[Keeping | None]:
-        """What a skill that empties the cone may be told of keeping; any, where only the run can tell."""
+        """Which `Keeping` a skill that empties the cone may get: all of them, if only the run knows."""
         field = self._library.skills[node.name].model_fields.get(KEEPING)
         if field is None:
             return frozenset({"never"})
@@ -349,7 +351,7 @@ class _Follower:
         return frozenset({given.get(KEEPING, field.default)})
 
     def _range(self, node: Call, key: str, known_value: float | None, names: Names) -> Range:
-        """Between what a number that a call is given is."""
+        """Bounds of a number that a call is given."""
         if known_value is not None:
             return known_value, known_value
         argument = node.arguments.get(key)
@@ -360,7 +362,11 @@ class _Follower:
         )
 
     def _tell_unbounded(self, node: Call, at: Call, mark: Mark, reached: _Reached) -> None:
-        """Of one of several sources a mass without bounds cannot be planned with; of one it is only not checked."""
+        """Report a mass without an upper bound.
+
+        With one source it is a warning, as room and powder cannot be checked. With several it is an error, as the plan
+        cannot know what each must hold.
+        """
         if not self.is_mixed:
             what = "how much is dosed here at most is known only when it runs: room and powder are not checked for it"
             self._problems.warn(mark, what, "give it a bound: min(…, 100 mg)", code="unbounded-mass")
@@ -372,7 +378,7 @@ class _Follower:
         return self.sources[source].sheet_key if source else source
 
     def refuse_mere_scoops(self) -> None:
-        """What is scooped from one of several sources and never dosed cannot be reckoned with."""
+        """Report sources, of several, that are scooped from but never dosed: what they lose cannot be planned."""
         dosed = {pour.source for pour in self.pours}
         for source, at in self._scoops.items():
             if self.is_mixed and source not in dosed:
@@ -381,7 +387,7 @@ class _Follower:
 
 
 def _target_of(skill: type[Skill[Any]]) -> str | None:
-    """What a dosing skill is asked for: its `mass`, else the only mass that it must be given."""
+    """The name of a dosing skill's target: `mass`, else the only mass that it requires; None if there is none."""
     parameters = parameters_of(skill).items()
     masses = [key for key, one in parameters if one.wire.name == "Mass" and (one.required or key == TARGET)]
     return TARGET if TARGET in masses else masses[0] if len(masses) == 1 else None

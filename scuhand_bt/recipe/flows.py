@@ -1,4 +1,4 @@
-"""The flows of a recipe's samples: those that are alike but for their containers' ids are followed once."""
+"""The flows (`recipe/flow.py`) of all samples; samples that differ only in the ids of their containers share one."""
 
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
@@ -13,7 +13,7 @@ from scuhand_bt.tree.workflow import Call, TreeNode, arguments_of, references_of
 
 
 class Flows:
-    """Of the samples of one recipe, whose sources are known by their names."""
+    """Finds and caches the flows of one recipe's samples. Its sources are identified by name."""
 
     def __init__(self, library: Library) -> None:
         self._library = library
@@ -21,7 +21,7 @@ class Flows:
         self._reading: dict[str, bool] = {}
 
     def of(self, workflow: str, inputs: Mapping[str, Any], problems: Problems) -> Flow:
-        """As `flow_of`; what is wrong with several that are alike is noted once."""
+        """As `flow_of`. A problem that several samples share is reported only for the first."""
         ids: list[str] = []
         by_id = self._reads_ids(workflow)
         kind = workflow, tuple((name, _told(value, ids, by_id=by_id)) for name, value in inputs.items())
@@ -31,14 +31,14 @@ class Flows:
         return flow if ids == of_first else _renamed(flow, dict(zip(of_first, ids, strict=True)))
 
     def _reads_ids(self, workflow: str) -> bool:
-        """Whether what it does may depend on what its containers are called."""
+        """Whether what the workflow does may depend on the ids of its containers."""
         if workflow not in self._reading:
             self._reading[workflow] = _reads_ids(self._library.workflows[workflow].tree, self._library)
         return self._reading[workflow]
 
 
 def _told(value: Any, ids: list[str], *, by_id: bool) -> Hashable:
-    """What tells an input from another one of its type; the ids of containers are noted."""
+    """A key that tells an input from others of its type. Appends the ids of containers to `ids`."""
     if isinstance(value, tuple):
         return tuple(_told(one, ids, by_id=by_id) for one in value)
     if isinstance(value, Container):

@@ -1,4 +1,4 @@
-"""What a workflow is forecast to do, skill by skill, by the values that are known before the run."""
+"""Forecasts what a workflow does, skill by skill, with the values that are known before the run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from scuhand_bt.tree.workflow import Branch, Call, Choice, Decorator, TreeNode, 
 
 @dataclass(frozen=True)
 class Expected:
-    """A skill's forecast, and where the skill is called."""
+    """The forecast of one call of a skill, and where it is called."""
 
     duration_s: float
     person: str | None
@@ -31,23 +31,23 @@ class Expected:
 
 
 class Forecaster:
-    """Walks a workflow with the values that are known before the run."""
+    """Walks a workflow with the values known before the run, and asks each skill for its forecast."""
 
     def __init__(self, lab: Lab) -> None:
         self._lab = lab
         self._library: Library = lab.library
         self._services: dict[tuple[str, str], list[Expected]] = {}
-        """Of what is done between samples, by its workflow and source."""
+        """Forecasts of workflows between samples, by workflow and source."""
         self._named: Source | None = None
-        """The source that a job has named last: of its powder the next dose is."""
+        """The source that the job has named last: the next dose is of its powder."""
 
     def of(self, workflow: str, inputs: Mapping[str, Any]) -> list[Expected]:
-        """What a job of this workflow does, in its order. SourceError for a skill's forecast that broke."""
+        """The forecasts of a job with this workflow, in order. Raises SourceError if a skill's forecast raises."""
         self._named = None
         return self._of_workflow(self._library.workflows[workflow], dict(inputs))
 
     def of_service(self, workflow: str, source: Source) -> list[Expected]:
-        """Of what is done between samples; nothing where the lab has no such workflow."""
+        """As `of`, for a workflow between samples; empty if the lab lacks it."""
         if workflow not in self._library.workflows:
             return []
         if (workflow, source.name) not in self._services:
@@ -65,7 +65,8 @@ class Forecaster:
             found = [self._of(child, scope) for child in children_of(node)]
             if node.kind == "sequence":
                 return [expected for child in found for expected in child]
-            # Nothing fails: of a fallback that is the first, as a look at what the cone holds, with a scoop behind it.
+            # Nothing fails in a forecast, so the first child of a fallback is taken: as a check that the cone holds
+            # enough, before the scoop for when it does not.
             goes_on = found[:1] if node.kind == "fallback" else found
             longest = max(goes_on, key=lambda child: sum(expected.duration_s for expected in child))
             others = [expected for child in found if child is not longest for expected in child]
@@ -83,7 +84,7 @@ class Forecaster:
         return self._of_workflow(self._library.workflows[node.name], inputs)
 
     def _of_for_each(self, node: Decorator, scope: Scope) -> list[Expected]:
-        """All rounds of lists that are known; of others one."""
+        """All rounds if the lists are known, else one round."""
         lists = known(node.arguments, scope, self._library)
         if lists.keys() != node.arguments.keys():
             return self._of(node.child, scope)
@@ -97,6 +98,6 @@ class Forecaster:
         try:
             forecast = skill.forecast(inputs, self._lab.cell)
             return Expected(forecast.duration_s, forecast.person, node.mark, forecast.descent)
-        except (Exception, SystemExit) as error:  # the lab's own code
+        except (Exception, SystemExit) as error:  # a lab's code may raise anything
             what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
             raise SourceError([Problem(node.mark, shorten(what, 200), "skill-forecast")]) from error

@@ -1,9 +1,8 @@
-"""Ids that a person cannot take for one another.
+"""Ids that people cannot confuse.
 
-An id is of letters of one script, ASCII digits and `. _ - +`, in its one normal form (NFKC). Japanese, Korean and
-Chinese are written beside Latin letters, as in the 'highly restrictive' profile of UTS 39 (Unicode security).
-Within a recipe all ids are of one script, none differs from another by case alone, and none by what is hard to tell
-apart in print.
+An id has letters of one script, ASCII digits and `. _ - +`, in Unicode's normal form NFKC. Japanese, Korean and
+Chinese may be combined with Latin, as in the 'highly restrictive' profile of UTS 39 (Unicode security mechanisms).
+Within a recipe all ids are of one script, and no two differ only by case or by characters that look alike in print.
 """
 
 import re
@@ -16,13 +15,13 @@ ALLOWED = "letters, digits and . _ - +, at most 64, beginning with a letter or d
 _ID = re.compile(r"[^\W_][\w.+-]{0,63}")
 _WITH_LATIN = ({"LATIN", "CJK", "HIRAGANA", "KATAKANA"}, {"LATIN", "CJK", "BOPOMOFO"}, {"LATIN", "CJK", "HANGUL"})
 _LAST_LATIN = "\u017f"
-"""Beyond the European alphabets Latin letters are phonetic signs, and look like others."""
+"""The last Latin letter of European alphabets. Later ones are mostly phonetic symbols that look like other letters."""
 _ALIKE = str.maketrans("0I1一ニエカロトハタヘベペリ", "Ollー二工力口卜八夕へべぺり")
-"""What is hard to tell apart within one script, or in scripts that are written together."""
+"""Characters that look alike within one script, or in scripts that may be combined."""
 
 
 def wrong_id(text: str) -> tuple[str, str] | None:
-    """What is wrong with an id by itself, and what to write instead; None for a good one."""
+    """What is wrong with an id by itself, and the remedy; None if it is good."""
     normal = unicodedata.normalize("NFKC", text)
     if normal != text and _is_id(normal):
         return "can be written in several ways", f"write '{normal}'"
@@ -35,14 +34,14 @@ def wrong_id(text: str) -> tuple[str, str] | None:
 
 
 class Ids:
-    """The ids of one recipe, as they come, each with its place."""
+    """The ids of one recipe so far, each with its place."""
 
     def __init__(self) -> None:
         self._by_look: dict[tuple[str, str], tuple[str, Mark]] = {}
         self._by_script: dict[str, tuple[str, Mark]] = {}
 
     def add(self, text: str, mark: Mark) -> tuple[str, str] | None:
-        """Why an id cannot stand beside one that came before it, and where that is; None where it can."""
+        """Add an id; or why it cannot stand beside an earlier one, and where that is."""
         looks = {"looks like '{}'": text.translate(_ALIKE), "differs from '{}' by case alone": text.casefold()}
         scripts = _scripts(text)
         for how, look in looks.items():
@@ -68,7 +67,7 @@ def _is_id(text: str) -> bool:
 
 
 def _is_plain(sign: str) -> bool:
-    """A letter, or what ASCII has beside letters."""
+    """Whether a character is ASCII, or a letter that ids may have."""
     if sign.isascii():
         return True
     is_latin = unicodedata.name(sign, "").startswith("LATIN ")
@@ -76,7 +75,7 @@ def _is_plain(sign: str) -> bool:
 
 
 def _scripts(text: str) -> set[str]:
-    """The scripts of its letters, by the first word of their Unicode names."""
+    """The scripts of the text's letters, taken from the first word of their Unicode names."""
     return {re.split(r"[ -]", unicodedata.name(sign, "unknown"))[0] for sign in text if sign.isalpha()}
 
 

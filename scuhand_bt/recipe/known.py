@@ -1,4 +1,4 @@
-"""What of a workflow's values is known before the run, and between what the others are."""
+"""Which values of a workflow are known before the run, and the bounds of those that are not."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,29 +14,29 @@ from scuhand_bt.tree.workflow import Argument, Call, Decorator, Value, reference
 from scuhand_bt.yaml_source import Node
 
 Ranges = dict[tuple[str, ...], Range]
-"""Of a value that is known only when it runs: between what its attributes are, by their names; () for itself."""
+"""Bounds of a value that only the run knows: its own under (), those of its attributes under their names' path."""
 
 
 @dataclass(frozen=True)
 class Names:
-    """The values that a workflow's names are known to have, and where those were written that it was given."""
+    """The names of a workflow: their values if known, their bounds if not, and where their values were written."""
 
     scope: Scope
     marks: Mapping[str, Mark]
     inputs: Mapping[str, str]
-    """The sample's inputs that the names stand for."""
+    """By name: the sample's input that it stands for."""
     ranges: dict[str, Ranges] = field(default_factory=dict)
-    """Of the names that have no known value."""
+    """By name: bounds of those that have no known value."""
 
     def range_of(self, reference: Reference) -> Range:
-        """Between what a value is."""
+        """The bounds of one value."""
         if self.scope.has(reference.name):
             value = self.scope.read(reference)
             return (value, value) if isinstance(value, int | float) else ANY_NUMBER
         return self.ranges.get(reference.name, {}).get(reference.attributes, ANY_NUMBER)
 
     def ranges_of(self, value: Value) -> Ranges:
-        """The same of all that is known of it."""
+        """The bounds of a value and of all its attributes, as far as they are known."""
         if not isinstance(value, Reference):
             return {(): value.range(self.range_of)}
         if self.scope.has(value.name):
@@ -46,7 +46,7 @@ class Names:
         return {keys[before:]: found for keys, found in known_of if keys[:before] == value.attributes}
 
     def keep(self, name: str, ranges: Ranges) -> None:
-        """A result; it may be that of another way before, too."""
+        """Store the bounds of a result. If another branch may also have set it, the bounds are joined."""
         had = self.ranges.get(name)
         self.ranges[name] = (
             ranges
@@ -59,7 +59,7 @@ class Names:
         )
 
     def mark_in(self, node: Call, key: str) -> Mark:
-        """Where a value that is given to a call was written; the call itself, where it is given none."""
+        """Where the value of a call's argument was written; the call's own place if it has no such argument."""
         argument = node.arguments.get(key)
         if argument is None:
             return node.mark
@@ -68,13 +68,13 @@ class Names:
         return argument.mark
 
     def input_in(self, node: Call | Decorator, key: str) -> str | None:
-        """The sample's input that a call, or another node, is given as it is."""
+        """The sample's input that is passed unchanged as this argument, if any."""
         argument = node.arguments.get(key)
         is_whole = isinstance(argument, Reference) and not argument.attributes
         return self.inputs.get(argument.name) if isinstance(argument, Reference) and is_whole else None
 
     def of_round(self, node: Decorator, within: Scope) -> "Names":
-        """The names in a round of a `for_each`: an item stands for the input that its list is."""
+        """The names within a round of a `for_each`: an item stands for the same input as its list."""
         outer = {name: of for name, of in self.inputs.items() if name not in node.arguments}
         items = {name: of for name in node.arguments if (of := self.input_in(node, name)) is not None}
         return replace(self, scope=within, inputs=outer | items)
@@ -83,10 +83,10 @@ class Names:
 def known(
     arguments: Mapping[str, Argument], scope: Scope, library: Library, call: Call | None = None
 ) -> dict[str, Any]:
-    """The arguments whose values are known before the run: literals, and what stems from the workflow's inputs.
+    """The arguments known before the run: literals, and values that depend only on the workflow's inputs.
 
-    They are those of a call of a skill or workflow; of another node, without one. SkillFailed for what cannot be
-    worked out.
+    `call` is the call that they belong to; without one they are those of a decorator. Raises SkillFailed if a value
+    cannot be computed.
     """
     wires = PARAMETERS if call is None else library.wires(call)
     values: dict[str, Any] = {}
@@ -99,12 +99,12 @@ def known(
 
 
 def is_known(argument: Argument, scope: Scope) -> bool:
-    """Whether a value can be told before the run."""
+    """Whether a value is known before the run."""
     return all(scope.has(reference.name) for reference in references_of(argument))
 
 
 def refused(given: Mapping[str, Any], wires: Mapping[str, WireType]) -> dict[str, str]:
-    """What a skill does not accept of the values that it is given, and why."""
+    """By name: why a skill does not accept a value that it is given."""
     refused: dict[str, str] = {}
     for key, value in given.items():
         try:

@@ -1,6 +1,6 @@
-"""`leftover`: what a recipe wants done with powder that is left in the cone.
+"""`leftover`: what a recipe wants done with the powder left in the cone (docs/recipes.md, "What is left in the cone").
 
-What went back to stock has been in the cone, over the pan and in the air; whether that may be is the chemist's to say.
+Leftover powder has been in the cone, over the pan and in the air; the chemist decides whether it may go back to stock.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,7 +23,7 @@ TO = "to"
 def with_leftover(
     sources: Mapping[str, Source], node: Node | None, cell: CellSpec, problems: Problems
 ) -> dict[str, Source]:
-    """The sources, each knowing what becomes of what is left of it; what is wrong is noted."""
+    """The sources, each with the recipe's policy for its leftover powder. Mistakes are reported."""
     if node is None:
         return dict(sources)
     name = (node.text or "") if isinstance(node, Scalar) else ""
@@ -52,7 +52,7 @@ def with_leftover(
 
 
 def check_unmixed(sources: Iterable[Source], mark: Mark, problems: Problems) -> None:
-    """What is left of the sources that samples name is of one lot, where it comes into a vessel; `mark` names that."""
+    """Report it if leftovers of several lots would go into one vessel; `mark` is where the recipe names that."""
     lots = {source.sheet_key: source.leftover_to for source in sources if source.leftover_to}
     if len(lots) > 1:
         what = f"what is left of {' and of '.join(sorted(lots))} would mix in '{next(iter(lots.values()))}'"

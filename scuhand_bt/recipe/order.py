@@ -1,11 +1,9 @@
-"""The order of a batch's samples, by the powder lots on the sheet before and after each.
+"""The order of a batch's samples, chosen by the powder lots that touch the sheet (docs/recipes.md, "The plan").
 
-by_powder         by the lot that each begins with, in the order of first mention
-as_written        as the recipe says
-fastest           with as few changes of the sheet between samples as there can be; by powder where that has as few
-persons_together  the two longest stretches that need no person, samples of one lot each, first and last; all others
-                  between them, so that whoever changes the sheets is needed only there, and as seldom as can be. The
-                  longest comes first, where that needs no more changes. What takes no powder comes before them
+by_powder         grouped by the lot that each sample begins with, in the order of first mention
+as_written        as in the recipe
+fastest           with the fewest possible changes of the sheet; as `by_powder` if that has no more
+persons_together  so that all changes of the sheet fall into one stretch of time
 """
 
 from collections import defaultdict, deque
@@ -18,11 +16,11 @@ ORDERS = ("by_powder", "as_written", "fastest", "persons_together")
 
 
 def in_order(order: str, samples: Sequence[Sample], duration_s: Callable[[Sample], float]) -> list[Sample]:
-    """The samples in one of `ORDERS`; `duration_s` forecasts one."""
+    """The samples in one of `ORDERS`; `duration_s` forecasts how long a sample takes."""
     if order == "as_written":
         return list(samples)
     if order == "fastest":
-        # Of as many changes by powder: with the other one the changer might have to be filled once more.
+        # With equally many changes, by powder: the other order might need one more filling of the changer.
         return min(_grouped(samples), _with_fewest_changes(samples), key=_changes)
     if order == "persons_together":
         return _with_persons_between(samples, duration_s)
@@ -30,7 +28,7 @@ def in_order(order: str, samples: Sequence[Sample], duration_s: Callable[[Sample
 
 
 def fewest_changes(samples: Sequence[Sample]) -> int:
-    """How often the sheet is changed between these samples in the order in which it is least often."""
+    """The least possible number of sheet changes between these samples."""
     return _changes(in_order("fastest", samples, lambda _: 0.0))
 
 
@@ -68,20 +66,22 @@ def _last(sample: Sample) -> str:
 
 
 def _changes(samples: Sequence[Sample]) -> int:
-    """How often the sheet is changed between them."""
+    """The number of sheet changes in this order."""
     return sum(_last(one) != _first(next_one) for one, next_one in pairwise(one for one in samples if one.sources))
 
 
 def _with_fewest_changes(
     samples: Sequence[Sample], before: Sequence[Sample] = (), after: Sequence[Sample] = ()
 ) -> list[Sample]:
-    """Samples are the edges of a graph of lots; it is covered by as few trails as can be.
+    """Cover a graph whose nodes are lots and whose edges are samples with as few trails as possible.
 
-    Each trail goes on where the sheet is; a change leads from its end to the next one's start. With a change from each
-    lot where more samples end than begin to one where more begin, every connected part has an Eulerian circuit, found
-    by Hierholzer's algorithm (Mathematische Annalen 6, 30, 1873). What comes before and after them is one more edge,
-    from after to before, behind which the whole begins;
-    they have powder, as have the samples then.
+    An edge leads from the lot that a sample begins with to the one that it ends with. Within a trail each sample
+    begins with the lot that is on the sheet; between trails the sheet is changed. One added edge (a change) from each
+    lot where more samples end than begin, to one where more begin, gives every connected part an Eulerian circuit,
+    found by Hierholzer's algorithm (Mathematische Annalen 6, 30, 1873).
+
+    `before` and `after` are samples at both ends of the batch: one edge from `after` to `before`, where the circuit is
+    cut open. They must have powder, and so must the samples between them.
     """
     ways: dict[str, deque[tuple[str, Sample | None]]] = defaultdict(deque)
     more_ends: dict[str, int] = defaultdict(int)
@@ -103,7 +103,7 @@ def _with_fewest_changes(
 
 
 def _circuit(lot: str, ways: Mapping[str, deque[tuple[str, Sample | None]]]) -> list[Sample | None]:
-    """All ways of the connected part of a lot, each taken once; begun behind a change of the sheet (None)."""
+    """An Eulerian circuit of a lot's connected part, cut open after a change of the sheet (None) if it has one."""
     found: list[Sample | None] = []
     taken: list[tuple[str, Sample | None]] = [(lot, None)]
     while taken:
@@ -112,6 +112,6 @@ def _circuit(lot: str, ways: Mapping[str, deque[tuple[str, Sample | None]]]) -> 
             taken.append(ways[at].popleft())
         else:
             found.append(taken.pop()[1])
-    circuit = found[-2::-1]  # without the lot that it was begun at
+    circuit = found[-2::-1]  # without the entry that only marks the start
     behind = max((number + 1 for number, one in enumerate(circuit) if one is None), default=0)
     return circuit[behind:] + circuit[:behind]

@@ -1,4 +1,4 @@
-"""The plan: a recipe's samples as jobs in their order, with the sheet swaps between powders, and what they need."""
+"""The plan: a recipe's samples as jobs in order, with sheet swaps and refills, and the powder and persons needed."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -22,27 +22,26 @@ from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.library import Library
 
 CHANGE_POWDER = "change_powder"
-"""The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""
+"""The lab's workflow that empties the cone into its source and swaps the sheet; its input is `source`."""
 CLEAR_AND_CHANGE_POWDER = "clear_and_change_powder"
-"""As `change_powder`, and what stands on the pan is taken off meanwhile; between samples in its place, if a lab has it.
+"""As `change_powder`, but it also clears the pan meanwhile. It is used between samples if the lab has it.
 
-Not where a person changes containers: an exchange is one visit, and this would be another.
-"""
+Not if a person changes containers: an exchange is one visit, and this would be a second one."""
 FINISH_BATCH = "finish_batch"
-"""The lab's workflow after the last sample; input `source`."""
+"""The lab's workflow after the last sample; its input is `source`."""
 AFTER_FAILURE = "after_failure"
-"""The lab's workflow that makes the cell ready again after a failed sample; input `source`."""
+"""The lab's workflow that makes the cell ready again after a failed sample; its input is `source`."""
 RESERVE = 0.2
-"""The share of its amount below which a mortar does not come where it is refilled: of little a scoop takes less than is
-expected, and more are made than are planned."""
+"""A mortar that is refilled is to hold at least this share of its `amount`. From less powder a scoop brings less than
+expected, so there would be more scoops than planned."""
 ROUNDED_MG = 1e-6
 SERVICE = (CHANGE_POWDER, CLEAR_AND_CHANGE_POWDER, FINISH_BATCH, AFTER_FAILURE, REFILL)
-"""The workflows that the engine calls, with a source that they may use."""
+"""The workflows that the engine itself calls, with a source as their input."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One workflow with its inputs bound: a sample's, or one between samples."""
+    """One workflow with its inputs bound, for a sample or between samples (then `sample` is None)."""
 
     name: str
     workflow: str
@@ -52,9 +51,9 @@ class Job:
 
 @dataclass(frozen=True)
 class PersonNeeded:
-    """A moment of the plan that needs a person, and where that is written.
+    """A moment of the plan that needs a person, and the place in a file that causes it.
 
-    Without a `job` it is one that comes only if a sample fails.
+    Without a `job` it comes only if a sample fails.
     """
 
     job: str | None
@@ -62,7 +61,7 @@ class PersonNeeded:
     mark: Mark
 
     def __str__(self) -> str:
-        """Reads on after "a person is"."""
+        """Completes a sentence that begins with "a person is"."""
         return f"needed at '{self.job}': {self.what}" if self.job is not None else f"perhaps needed: {self.what}"
 
 
@@ -75,18 +74,18 @@ class Plan:
     demands: tuple[Demand, ...]
     persons: tuple[PersonNeeded, ...]
     done_s: Mapping[str, float]
-    """When each job is to be done, by its name, from the beginning of the run."""
+    """When each job is expected to end, by its name [s from the start of the run]."""
     descents: frozenset[tuple[str, float]] = frozenset()
-    """Places that the cone comes straight down to, and from how many mm above them."""
+    """Places that the cone reaches straight from above, and the height of the descent [mm]."""
 
     @property
     def duration_s(self) -> float:
         return max(self.done_s.values(), default=0.0)
 
     def soon(self, job: Job) -> PersonNeeded | None:
-        """What a person is needed for at the job after this one, if for nothing at this one.
+        """What the job after this one needs a person for, if this one needs nobody; None otherwise.
 
-        Who is told as this one begins can have come by then. Nothing for a job that is not of the plan.
+        Whoever is notified when this job begins can be there in time. None for a job that is not in the plan.
         """
         number = next((number for number, one in enumerate(self.jobs) if one.name == job.name), len(self.jobs))
         needed = [[one for one in self.persons if one.job == at.name] for at in self.jobs[number:][:2]]
@@ -103,16 +102,15 @@ class Plan:
 
     @property
     def refills(self) -> Counter[str]:
-        """How often more is put into the mortar of a source, by its name."""
+        """How often each source's mortar is refilled, by the source's name."""
         return Counter(job.inputs["source"].name for job in self.jobs if job.workflow == REFILL and job.sample is None)
 
 
 def make_plan(recipe: Recipe, lab: Lab) -> Plan:
-    """Order the samples, put sheet swaps between powders and refills before mortars run short, and forecast.
+    """Order the samples, insert sheet swaps and refills, and forecast the run.
 
-    The forecast is of a run in which nothing fails: what a `retry` holds counts once, and of a `fallback` the first.
-
-    Raises SourceError if the lab lacks a workflow that the plan needs, or has a wrong one.
+    The forecast assumes that nothing fails: the child of a `retry` runs once, and of a `fallback` only the first.
+    Raises SourceError if a workflow that the plan needs is missing or wrong.
     """
     problems = Problems()
     check_service_workflows(recipe, lab, problems)
@@ -142,9 +140,9 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
 
 
 def recoveries(sample: Sample) -> list[Job]:
-    """After this sample has failed: a job for each of its sources, as the cone is emptied into one of them.
+    """The jobs that may follow if this sample fails: one for each source into which the cone may be emptied.
 
-    A resumed run knows by the job's name which one it was.
+    By its name a resumed run knows which one was chosen.
     """
     name = f"after {sample.id}"
     return [
@@ -154,10 +152,10 @@ def recoveries(sample: Sample) -> list[Job]:
 
 
 def sheet_changes(sample: Sample, recipe: Recipe, library: Library, cell: CellSpec) -> list[Job]:
-    """Before this sample, of a sheet that has touched another lot than it begins with: a job for each source of those.
+    """The jobs that may have to change the sheet before this sample: one for each source of another lot.
 
-    That is planned where the samples before it come to their ends; where one has failed within a mixture it is found
-    out. A resumed run knows by the job's name which one it was.
+    The plan has such changes where every sample succeeds. Where one failed within a mixture, only the run knows the
+    sheet's lot. By the job's name a resumed run knows which one was chosen.
     """
     first, workflow = next(iter(sample.sources), None), changing_workflow(library, cell)
     if first is None or workflow not in library.workflows:
@@ -170,9 +168,9 @@ def sheet_changes(sample: Sample, recipe: Recipe, library: Library, cell: CellSp
 
 
 def changing_workflow(library: Library, cell: CellSpec) -> str:
-    """By which the sheet is changed between samples, where the lab has it."""
+    """The name of the workflow that changes the sheet between samples in this lab."""
     name = CLEAR_AND_CHANGE_POWDER
-    has_it = name in library.workflows or library.broken.of("workflow", name)  # one that is broken is said to be
+    has_it = name in library.workflows or library.broken.of("workflow", name)  # so that a broken one is reported
     return name if has_it and cell.changer.driver != "operator" else CHANGE_POWDER
 
 
@@ -181,7 +179,7 @@ def _change_name(sample: Sample) -> str:
 
 
 def check_unattended(plan: Plan) -> None:
-    """Raises SourceError for a plan that needs a person: each place that asks for one, once."""
+    """Raises SourceError if the plan needs a person: one problem for each place that asks for one."""
     by_mark: dict[Mark, list[PersonNeeded]] = {}
     for person in plan.persons:
         by_mark.setdefault(person.mark, []).append(person)
@@ -195,11 +193,12 @@ def check_unattended(plan: Plan) -> None:
 def _refills(
     sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[PersonNeeded], lab: Lab
 ) -> tuple[dict[str, list[Job]], dict[str, float]]:
-    """The refills before each job, by its name, of sources that are refilled; and what these hold at most after one.
+    """Refills to insert, by the name of the job after them; and the most that each refilled source ever holds.
 
-    A mortar that does not hold what is still to come is refilled before the first sample after which it would hold less
-    than `RESERVE`, and a jar before the first one that is not sure to come of it; rather when a person comes anyway, be
-    it for another mortar: at the last such visit before that.
+    The rule is in docs/recipes.md, "Refilling a mortar". A mortar that does not hold all that is still needed is
+    refilled before the first sample that would leave less than `RESERVE` in it. A jar is refilled before the first
+    sample for which it may not hold enough. If a person comes earlier anyway, the refill is moved to the last such
+    visit.
     """
     visits = {person.job for person in persons}
     samples = [job.sample for job in jobs if job.sample is not None]
@@ -208,7 +207,7 @@ def _refills(
     for source in sources:
         if source.refill_mg is None:
             continue
-        left_mg, since = source.amount_mg, list[tuple[Job, float]]()  # what there was before each job since a refill
+        left_mg, since = source.amount_mg, list[tuple[Job, float]]()  # the content before each job since the refill
         to_come_mg = sum(needed_mg(sample, source) + discarded_mg(sample, source) for sample in samples)
         jar = _jar(source, lab)
         for job in jobs:
@@ -216,7 +215,7 @@ def _refills(
             needs_mg = needed_mg(job.sample, source) if job.sample is not None else 0.0
             goes_mg = discarded_mg(job.sample, source) if job.sample is not None else 0.0
             to_come_mg -= needs_mg + goes_mg
-            # What is discarded after the last one nothing lacks.
+            # What the last sample discards, no other sample needs.
             lacks = left_mg < needs_mg + (goes_mg + to_come_mg if to_come_mg > ROUNDED_MG else 0.0)
             is_short = lacks and left_mg - needs_mg < RESERVE * source.amount_mg
             left = _after_dose(jar, needs_mg, source)
@@ -234,12 +233,12 @@ def _refills(
                 left = _after_dose(jar, needs_mg, source)
             jar = left or jar
             left_mg -= needs_mg
-            left_mg -= min(goes_mg, max(0.0, left_mg))  # a scoop takes no more than there is
+            left_mg -= min(goes_mg, max(0.0, left_mg))  # a scoop cannot take more than there is
     return found, most_mg
 
 
 def _jar(source: Source, lab: Lab) -> JarBed | None:
-    """What is in a source that is a beaker or a jar; None for a bowl, and for one that no stroke can be made in."""
+    """The bed of a source that is a beaker or jar; None for a bowl, and if no stroke is possible in it."""
     ladle = Ladle.of(lab.cell.hand)
     if source.mortar.corner_mm is None or not has_way(source.mortar, ladle):
         return None
@@ -253,7 +252,7 @@ def _after_dose(jar: JarBed | None, dose_mg: float, source: Source) -> JarBed | 
 
 
 def _persons(jobs: tuple[Job, ...], forecasts: list[list[Expected]], lab: Lab) -> Iterator[PersonNeeded]:
-    """Every moment that needs a person: what skills forecast, and filling the changer again."""
+    """Every moment that needs a person: those that skills forecast, and refilling the changer."""
     used, changer = Counter[str](), lab.cell.changer
     cell_file = Mark(str(lab.folder / CELL_FILE))
     for job, found in zip(jobs, forecasts, strict=True):
@@ -270,7 +269,7 @@ def _persons(jobs: tuple[Job, ...], forecasts: list[list[Expected]], lab: Lab) -
 
 
 def _persons_after_failures(recipe: Recipe, forecaster: Forecaster) -> Iterator[PersonNeeded]:
-    """What a person may be needed for if a sample fails: the recipe's `ask`, and what the lab's recovery asks."""
+    """What a person may be needed for if a sample fails: the recipe's `ask`, and what the lab's recovery needs."""
     for code, action in sorted(recipe.on_failure.items(), key=lambda item: item[0] == "otherwise"):
         if action == "ask":
             how = "in any other way" if code == "otherwise" else f"with {code}"
@@ -283,7 +282,7 @@ def _persons_after_failures(recipe: Recipe, forecaster: Forecaster) -> Iterator[
 
 
 def _jobs(lab: Lab, samples: Iterable[Sample]) -> Iterator[Job]:
-    """The jobs, each with a name of its own, by which a resumed run knows it: no sample's id has a blank in it."""
+    """The jobs without refills. A resumed run knows each by its unique name; ids of samples contain no blank."""
     last: Source | None = None
     changing = changing_workflow(lab.library, lab.cell)
     for sample in samples:
@@ -301,7 +300,7 @@ def _job(sample: Sample) -> Job:
 
 
 def check_service_workflows(recipe: Recipe, lab: Lab, problems: Problems) -> None:
-    """Note what is wrong with the workflows that the engine calls between a recipe's samples."""
+    """Report what is wrong with the workflows that the engine calls between this recipe's samples."""
     workflows = lab.library.workflows
     needed = {job.workflow for job in _jobs(lab, recipe.samples) if job.sample is None}
     needed |= {REFILL} if any(source.refill_mg is not None for source in recipe.sources.values()) else set()

@@ -1,4 +1,4 @@
-"""Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
+"""Reads a chemist's recipe, expands it to samples, and checks it before anything moves (docs/recipes.md)."""
 
 import hashlib
 import json
@@ -38,7 +38,7 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
     "otherwise": "stop",
 }
 OVERSHOOT_LIMIT = 2
-"""One overshoot is chance; two in a row are a balance, a valve or a powder that is not what it was."""
+"""One overshoot is chance; after two in a row, balance, valve or powder have probably changed."""
 RECIPE_KEYS = (
     *("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples"),
     *("leftover", "on_failure", "overshoot_limit"),
@@ -46,14 +46,14 @@ RECIPE_KEYS = (
 
 
 RecipeGiven = Path | Mapping[str, Any]
-"""The file of a recipe, or a dict of what would stand in one."""
+"""The path of a recipe's file, or a dict with the same content."""
 GIVEN = "given.yaml"
-"""What the file of a recipe that is a dict is called, which there is not."""
+"""The file name in messages about a recipe given as a dict; no such file exists."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """A checked recipe with all its samples, in the order they are written."""
+    """A checked recipe with all its samples, in the order of the text."""
 
     path: Path
     text: str
@@ -64,14 +64,14 @@ class Recipe:
     samples: tuple[Sample, ...]
     on_failure: Mapping[str, Action]
     overshoot_limit: int
-    """So many samples in a row that overshot stop the batch; 0: none does."""
+    """How many overshoots in a row stop the batch; 0 for no limit."""
     marks: Mapping[str, Mark]
-    """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `samples.ID.KEY`,
+    """Places of values that later checks report, by key: `sources.NAME`, `sources.NAME.amount`, `samples.ID.KEY`,
     `on_failure.CODE`, `leftover`."""
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the recipe's text and of its expanded samples."""
+        """SHA-256 of the recipe's text and its expanded samples."""
         digest = hashlib.sha256(self.text.encode())
         for sample in self.samples:
             digest.update(repr((sample.id, sample.workflow, sorted(map(str, sample.inputs.items())))).encode())
@@ -79,7 +79,7 @@ class Recipe:
 
     @property
     def redone(self) -> list[str]:
-        """The failure codes with which a sample is done once more, or may be if somebody chooses that."""
+        """The failure codes after which a sample is, or may be, done once more (`redo` or `ask`)."""
         return [code for code, action in self.on_failure.items() if action in ("redo", "ask")]
 
     def action_for(self, code: str) -> Action:
@@ -100,7 +100,7 @@ def load_recipe(given: RecipeGiven, lab: Lab) -> Recipe:
 
 
 def given_again(path: Path, text: str) -> RecipeGiven:
-    """A recipe as it was given, by what a run has noted of it: its file as it is now, or the dict."""
+    """The recipe as it was given, from what a run has recorded: its file as it is now, or the dict."""
     if path.name == GIVEN:
         with suppress(ValueError):
             given: Mapping[str, Any] = json.loads(text)
@@ -109,7 +109,9 @@ def given_again(path: Path, text: str) -> RecipeGiven:
 
 
 def read_recipe(given: RecipeGiven, lab: Lab, problems: Problems) -> Recipe | None:
-    """As `load_recipe`; what is wrong is noted, and what could be read is given. SourceError for what is no YAML."""
+    """As `load_recipe`, but reports into `problems` and returns what could be read. SourceError only if it is no
+    YAML.
+    """
     if isinstance(given, Mapping):
         path, text = lab.folder / "recipes" / GIVEN, json.dumps(given, default=str)
         return recipe_of(from_plain(given, "recipe"), path, text, lab, problems)
@@ -118,7 +120,7 @@ def read_recipe(given: RecipeGiven, lab: Lab, problems: Problems) -> Recipe | No
 
 
 def recipe_of(root: Node, path: Path, text: str, lab: Lab, problems: Problems) -> Recipe | None:
-    """The same of what has been parsed."""
+    """As `read_recipe`, from a parsed text."""
     return _Reader(lab, path, text, problems).read(root)
 
 

@@ -1,6 +1,6 @@
-"""A sample, and what it asks of the lab: room in its containers, range of the balance, powder, reach.
+"""A sample, and its checks against the lab: room in containers, range of the balance, powder, reach of the arm.
 
-What it takes of its sources and puts into its containers is told by what its workflow does (`recipe/flow.py`).
+What it takes from sources and puts into containers is known from its workflow's flow (`recipe/flow.py`).
 """
 
 import math
@@ -25,16 +25,16 @@ from scuhand_bt.yaml_source import Node
 
 @dataclass(frozen=True)
 class Take:
-    """So much powder, at most, out of a source; None where nothing bounds it."""
+    """A mass of powder taken from a source, as an upper bound; None if it has none."""
 
     source: Source
     mass_mg: float | None
     scoop: int | None = None
-    """The number of the scoop that it must come of, if it is one."""
+    """The number of the scoop that it must come from, if it must be one."""
 
     @property
     def needed_mg(self) -> float:
-        """The mass, and what each scoop for it loses."""
+        """The mass, and the loss of each scoop that it takes."""
         if self.mass_mg is None:
             return 0.0
         powder = self.source.powder
@@ -43,14 +43,14 @@ class Take:
 
 @dataclass(frozen=True)
 class Ask:
-    """A mass that a sample asks for, of a lot; None for whichever its workflow takes."""
+    """A mass that a sample asks for. With a `lot` of None it is of whichever lot the workflow takes."""
 
     mass_mg: float
     tolerance_mg: float | None
     lot: str | None = None
 
     def is_for(self, target_mg: float, lot: str | None) -> bool:
-        """Whether it is dispensed towards; a lot of None is one that only the run can tell."""
+        """Whether a dose with this target fulfils it. A lot of None is one that only the run knows."""
         is_lot = self.lot is None or lot in (None, self.lot)
         return is_lot and math.isclose(target_mg, self.mass_mg, rel_tol=1e-9)
 
@@ -64,9 +64,9 @@ class Sample:
     workflow: str
     inputs: Mapping[str, Any]
     flow: Flow
-    """What its workflow doses, in the order in which it does."""
+    """What its workflow doses, in order."""
     composition: Composition | None = None
-    """What it is to be composed of, if its recipe says that."""
+    """What it is to be composed of, if the recipe has `compose`."""
 
     @cached_property
     def asks(self) -> tuple[Ask, ...]:
@@ -77,7 +77,7 @@ class Sample:
 
     @cached_property
     def takes(self) -> tuple[Take, ...]:
-        """What it takes from its sources in that order: a dose counts what its container holds already."""
+        """What it takes from its sources, in order. A dose brings only what its container does not hold yet."""
         takes, held_mg = [], dict[tuple[str | None, str], float]()
         by_name = {source.name: source for source in sources_of(self.inputs)}
         for pour in self.flow.pours:
@@ -91,7 +91,7 @@ class Sample:
 
     @property
     def filled(self) -> Mapping[str, tuple[Pour, ...]]:
-        """By container, the largest dose of each lot into it, as far as that has a bound."""
+        """By container: the largest bounded dose of each lot."""
         largest: dict[str, dict[str, Pour]] = {}
         for pour in self.flow.pours:
             if pour.container and pour.lot and pour.most_mg is not None:
@@ -102,17 +102,17 @@ class Sample:
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:
-        """All of its sources, in the order in which its workflow takes from them; then those it takes nothing from."""
+        """All its sources: first those that its workflow takes from, in that order, then the others."""
         in_order = [take.source for take in self.takes] + sources_of(self.inputs)
         return tuple({source.name: source for source in in_order}.values())
 
     def may_keep(self, source: Source) -> bool:
-        """Whether what is left of a source in the cone may be there still when its workflow has ended."""
+        """Whether powder of this source may still be in the cone when the workflow has ended."""
         return any(keeping is None or source.is_kept(keeping) for keeping in self.flow.leaves)
 
     @property
     def last_source(self) -> Source | None:
-        """Whose powder the sheet has touched when its workflow has ended."""
+        """The source whose powder was on the sheet last when the workflow has ended."""
         return self.takes[-1].source if self.takes else next(iter(self.sources), None)
 
     @cached_property
@@ -121,7 +121,7 @@ class Sample:
 
     @cached_property
     def containers(self) -> Sequence[Container]:
-        """Those that its mass may be for: its own called `container`, else all of its own."""
+        """Those that its mass may be for: the input `container` if it is one, else all."""
         own = self.all_containers
         return [value for value in own if value is self.inputs.get("container")] or own
 
@@ -139,23 +139,23 @@ class Sample:
 
     @property
     def powder_tolerances(self) -> list[tuple[Powder, float]]:
-        """Within what each of its powders is to be dosed, as far as its recipe says."""
+        """Its powders and the tolerance of each [mg], as far as the recipe has one."""
         of_lot = {ask.lot: ask.tolerance_mg for ask in self.asks}
         found = [(source.powder, of_lot.get(source.sheet_key, self.tolerance_mg)) for source in self.sources]
         return [(powder, tolerance_mg) for powder, tolerance_mg in found if tolerance_mg is not None]
 
     @property
     def least_tolerance_mg(self) -> float | None:
-        """The narrowest that it asks for."""
+        """The narrowest tolerance that it asks for; None if it asks for none."""
         found = (self.tolerance_mg, *(ask.tolerance_mg for ask in self.asks))
         return min((one for one in found if one is not None), default=None)
 
     def is_dosed_into(self, container_id: str) -> bool:
-        """Whether its mass may be for this container; any may be where it has none of its own."""
+        """Whether its mass may be for this container; true for any if it has none of its own."""
         return not self.containers or any(one.id == container_id for one in self.containers)
 
     def ask_for(self, target_mg: float, lot: str | None) -> Ask | None:
-        """What it asks for that is dispensed towards, if it is."""
+        """What it asks for that a dose with this target fulfils, if anything."""
         return next((ask for ask in self.asks if ask.is_for(target_mg, lot)), None)
 
     def _mass(self, name: str) -> float | None:
@@ -166,9 +166,9 @@ class Sample:
 def check_sample(
     sample: Sample, own: Mapping[str, Node], shared: Mapping[str, Node], cell: CellSpec, problems: Problems
 ) -> None:
-    """One sample against its container, its powder, the balance and the changer.
+    """Check one sample against its containers, its powders, the balance and the changer.
 
-    `own` and `shared` are the places of its values: its own, and the recipe's defaults.
+    `own` are its own values, `shared` the recipe's defaults; both tell where to report a mistake.
     """
 
     def at(*names: str) -> Mark:
@@ -243,7 +243,7 @@ def _check_room(
     mark: Mark,
     problems: Problems,
 ) -> None:
-    """What goes into one container must fit into it, and on the balance: the most that is accepted as in tolerance."""
+    """What goes into a container must fit into it and be within the balance's range, up to the top of its tolerance."""
     filled_mg = sum(pour.accepted_mg for pour in pours)
     if container.empty_mass_mg + filled_mg > balance.maximum_mg:
         what = f"'{container.name}' ({format_mass(container.empty_mass_mg)})"

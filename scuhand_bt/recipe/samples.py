@@ -1,4 +1,4 @@
-"""The samples of a recipe, read and held against their workflows and the lab."""
+"""Reads the samples of a recipe and checks them against their workflows and the lab."""
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
@@ -31,12 +31,12 @@ MISPLACED = {
     ),
     **dict.fromkeys(("id", "repeat", "table"), "each sample has its own"),
 }
-"""Keys that are sometimes looked for under `defaults`, and where they stand."""
+"""Keys that people put under `defaults` by mistake, and where they belong."""
 
 
 @dataclass
 class SamplesReader:
-    """Reads `samples`; `marks` is filled with the places of their values. `folder` is the recipe's."""
+    """Reads `samples`, relative to the recipe's `folder`. Fills `marks` with the places of their values."""
 
     lab: Lab
     folder: Path
@@ -46,15 +46,15 @@ class SamplesReader:
     workflows: dict[str, Workflow] = field(default_factory=dict)
     """Those that the recipe names."""
     used_sources: set[str] = field(default_factory=set)
-    """Those that samples name, or are composed of."""
+    """The names of sources that samples name or are composed of."""
     sound: dict[str, bool] = field(default_factory=dict)
-    """By workflow, whether it is."""
+    """By workflow: whether it has passed its check."""
 
     def __post_init__(self) -> None:
         self._flows = Flows(self.lab.library)
 
     def read(self, root: Entries, sources: Mapping[str, Source]) -> list[Sample]:
-        """The recipe's samples, with all of their values that could be read; all that is wrong is noted."""
+        """The recipe's samples, with all values that could be read. Mistakes are reported."""
         node = root.get("samples")
         if not isinstance(node, Items) or not node.items:
             what = "'samples' is missing" if node is None else f"'samples': {describe(node)} names no sample"
@@ -114,7 +114,7 @@ class SamplesReader:
     def _read_sample(
         self, entry: Entries, defaults: Entries, default_workflow: Node | None, sources: Mapping[str, Source]
     ) -> Sample | None:
-        """The sample with all of its values that could be read; None without a workflow."""
+        """The sample with all values that could be read; None without a workflow."""
         sample_id = self._sample_id(entry)
         workflow_node = entry.get("workflow") or default_workflow
         if workflow_node is None:
@@ -127,7 +127,7 @@ class SamplesReader:
             return None
         composer = Composer(sources, self.source_marks, self.lab.cell.balance, self.problems)
         made, composed = composer.of_sample(entry, defaults, workflow)
-        if made:  # where composing fails, nobody knows which
+        if made:  # if composing has failed, any source may be meant
             self.used_sources |= {source.name for source in composed.sources} if composed else set(self.source_marks)
         given = {key: value for key, value in defaults.values.items() if key in workflow.inputs and key not in made}
         given.update(entry.without(*RECIPE_WORDS, *made).values)
@@ -136,7 +136,7 @@ class SamplesReader:
             self.marks[f"samples.{sample_id}.{key}"] = node.mark
             declared = workflow.inputs.get(key)
             if declared is None and not workflow.is_whole:
-                continue  # it may be what could not be read
+                continue  # it may belong to the part of the workflow that could not be read
             if declared is None:
                 self.problems.add(
                     entry.keys[key],
@@ -146,7 +146,7 @@ class SamplesReader:
                     code="unknown-input",
                 )
                 continue
-            # One container is known by its sample's id; several need one each, and no sample can have an id like it.
+            # One container has its sample's id. Several need their own, with a "/", which no sample's id can have.
             several = sum((one.type.item or one.type).python is Container for one in workflow.inputs.values()) > 1
             container_id = f"{sample_id}/{declared.name}" if several else sample_id
             value = self._read_value(declared.name, declared.type, node, container_id, sources)
@@ -172,7 +172,7 @@ class SamplesReader:
         if composed is not None:
             inputs |= {name: value for name, value in composed.inputs.items() if name in made}
             self.marks[f"samples.{sample_id}.{COMPOSE}"] = (entry.get(COMPOSE) or defaults.values[COMPOSE]).mark
-        with suppress(ValueError):  # a wrong default, which is reported where it stands
+        with suppress(ValueError):  # a wrong default, which the workflow's check reports
             inputs = bound_inputs(workflow, inputs, self.lab.library)
         flow = self._flow(workflow, inputs, sample_id)
         sample = Sample(entry.mark, sample_id, workflow.name, inputs, flow, composed.composition if composed else None)
@@ -180,14 +180,14 @@ class SamplesReader:
         return sample
 
     def _flow(self, workflow: Workflow, inputs: Mapping[str, Any], sample_id: str) -> Flow:
-        """What a sample's workflow doses; by a wrong one, which is reported where it stands, nothing."""
+        """What a sample's workflow doses; nothing if the workflow is wrong, which is reported elsewhere."""
         if not self.is_sound(workflow.name):
             return Flow()
-        is_complete = all(key in inputs for key in workflow.inputs)  # else what lacks is reported where it stands
+        is_complete = all(key in inputs for key in workflow.inputs)  # what is missing is already reported
         noted = Problems()
         flow = self._flows.of(workflow.name, inputs, noted)
         if is_complete:
-            of_sample = f"; sample '{sample_id}' has these"  # the workflow, where it stands, is right for others
+            of_sample = f"; sample '{sample_id}' has these"  # the workflow it points to may be right for other samples
             self.problems.found += [
                 replace(one, message=one.message + of_sample) if one.code == "uneven-lists" else one
                 for one in noted.found
@@ -195,7 +195,7 @@ class SamplesReader:
         return flow
 
     def is_sound(self, name: str) -> bool:
-        """Whether a workflow can be followed."""
+        """Whether a workflow passes its check, so that its flow can be found."""
         if name not in self.sound:
             wrong = Problems()
             check_workflows(self.lab.library, [name], wrong)
@@ -255,7 +255,7 @@ class SamplesReader:
                 )
                 return None
             if python is Source:
-                return sources.get(name)  # None for one that is wrong itself, and reported
+                return sources.get(name)  # None if the source itself is wrong, which is already reported
             return Container.model_construct(**{**library.containers[name].__dict__, "id": container_id})
         try:
             return literal(key, wire, node, library)

@@ -1,4 +1,4 @@
-"""The sources of a recipe: mortars with powder at stations, read and held against the lab."""
+"""Reads the sources of a recipe (vessels with powder at stations) and checks them against the lab."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -15,10 +15,10 @@ from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Node, Scalar, describe
 
 REFILL = "refill"
-"""The lab's workflow in which a person puts more powder into a mortar; input `source`."""
+"""The lab's workflow in which a person adds powder to a mortar; its input is `source`."""
 LEAST_LIMIT_MG = 300.0
-"""A load limit that scoops keep, but for some first loads. In dry runs of beads and MSG first loads under limits of 20
-and 40 mg were 2 to 4.5 times as much, under 80 and 160 mg 1.6 to 2.3 times, under 320 mg 1.2 to 1.7 times."""
+"""The least load limit [mg] that scoops keep, but for some first loads. In dry runs with beads and MSG, first loads
+were 2 to 4.5 times limits of 20 and 40 mg, 1.6 to 2.3 times 80 and 160 mg, and 1.2 to 1.7 times 320 mg."""
 
 
 class SourceText(Assay):
@@ -34,7 +34,7 @@ class SourceText(Assay):
 
 @dataclass
 class SourcesReader:
-    """Reads `sources`; `source_marks` and `marks` are filled with the places of their names and values."""
+    """Reads `sources`. Fills `source_marks` with the places of their names, `marks` with those of names and values."""
 
     lab: Lab
     problems: Problems
@@ -42,9 +42,9 @@ class SourcesReader:
     marks: dict[str, Mark]
 
     def read(self, node: Node | None) -> dict[str, Source]:
-        """The sources of this mapping that are right; all that is wrong is noted."""
+        """The sources that are right. Mistakes are reported."""
         if node is None:
-            return {}  # as a check of the cell needs none
+            return {}  # a recipe that only checks the cell needs none
         if not isinstance(node, Entries) or not node.values:
             self.problems.add(node.mark, f"'sources': {describe(node)} names no source", code="wrong-shape")
             return {}
@@ -68,7 +68,7 @@ class SourcesReader:
         return sources
 
     def _check_apart(self, sources: Sequence[Source]) -> None:
-        """Mortars side by side must have room."""
+        """Mortars side by side must not overlap."""
         for one, other in combinations(sources, 2):
             places_mm = [self.lab.cell.stations[source.station].position_mm[:2] for source in (one, other)]
             room_mm = (one.mortar.outer_diameter_mm + other.mortar.outer_diameter_mm) / 2
@@ -78,7 +78,7 @@ class SourcesReader:
                 self.problems.add(self.source_marks[other.name], what, allowed, code="mortars-overlap")
 
     def _check_assays(self, sources: Iterable[Source]) -> None:
-        """One lot has one assay: what is in the cone of it is dosed for a sample that names another mortar of it."""
+        """All sources of a lot must have the same assay: powder of one may be dosed for a sample of another."""
         assayed: dict[str, Source] = {}
         for source in sources:
             if source.purity_ratio is None:
@@ -139,9 +139,9 @@ class SourcesReader:
 
 
 def _check_source(source: Source, cell: CellSpec, marks: Mapping[str, Node], problems: Problems) -> None:
-    """The source's powder must fit into its mortar, and come where the hand opens as wide as it can.
+    """The powder must fit into the mortar, and must flow at the widest opening of the hand's valve.
 
-    `marks` are the places of its values.
+    `marks` tells where to report a mistake.
     """
     powder, mortar, widest_mm = source.powder, source.mortar, cell.hand.max_opening_mm
     if powder.belief.least_mm >= widest_mm:

@@ -1,10 +1,11 @@
-"""How much of which powder makes a product, how exactly each is to be dosed, and what was made (docs/compose.md).
+"""How much of each powder makes a product, how exactly each must be dosed, and what was made (docs/compose.md).
 
-A sample of n mol of a product takes n_j = n ν_j (1 + x_j) of the formula of powder j. ν solves A ν = b over the
-elements that are balanced, exactly, in rationals: A_ej atoms of e in a formula of j, b_e in the product; x_j excess.
+For n mol of a product, powder j is needed as n_j = n ν_j (1 + x_j) mol of its formula, with the excess x_j. ν solves A
+ν = b exactly, in rationals, over the balanced elements: A_ej are the atoms of e in a formula unit of j, b_e those in
+the product.
 
     m_j = n_j M_j / (p_j (1 - w_j))          M molar mass, p purity, w water
-    c_e = S N_e / Σ N,   N_e = Σ_j A_ej n_j  atoms per formula of the product; S as many as are asked
+    c_e = S N_e / Σ N,   N_e = Σ_j A_ej n_j  atoms per formula unit of the product; S is the sum of those asked for
 """
 
 import math
@@ -19,20 +20,20 @@ from scuhand_bt.recipe.composition import ComposedPowder, Composition, Compositi
 
 @dataclass(frozen=True)
 class Lot:
-    """A powder as it is weighed in: its formula, its assay, and how much more of it there is to be."""
+    """A powder as it is weighed in: formula, assay and excess."""
 
     name: str
     formula: Formula
     assay: float
-    """Share of the formula in its mass: p (1 - w)."""
+    """Mass fraction of the formula: p (1 - w)."""
     assay_uncertainty: float
-    """Standard uncertainty, relative."""
+    """Relative standard uncertainty of `assay`."""
     excess: float = 0.0
 
 
 @dataclass(frozen=True)
 class Imbalance:
-    """Why a set of formulas makes no product; `number` is the formula that is to blame, None for the product."""
+    """Why a set of formulas makes no product. `number` is the index of the formula to blame, None for the product."""
 
     code: str
     what: str
@@ -41,7 +42,7 @@ class Imbalance:
 
 
 def balanced(product: Formula, formulas: Sequence[Formula], ignored: Sequence[str]) -> list[Fraction] | list[Imbalance]:
-    """So many of each formula make one of the product, without what is ignored; or all that is in the way."""
+    """How many of each formula make one of the product, ignored elements left out; or everything that prevents it."""
     elements = [element for element in product.counts if element not in ignored]
     if not elements:
         what = f"all of {product.text} is ignored: nothing is left to balance"
@@ -50,7 +51,7 @@ def balanced(product: Formula, formulas: Sequence[Formula], ignored: Sequence[st
         return wrong
     rows = [[one.counts.get(e, Fraction(0)) for one in formulas] + [product.counts[e]] for e in elements]
     pivots = _reduce(rows)
-    if len(formulas) in pivots:  # a row that says 0 = 1
+    if len(formulas) in pivots:  # a row reads 0 = 1
         what = f"no amounts of {_listed(formulas)} come to {product.text}"
         return [Imbalance("unbalanced", what, "add what brings the rest, or correct a count")]
     if free := [j for j in range(len(formulas)) if j not in pivots]:
@@ -99,7 +100,7 @@ def _listed(formulas: Sequence[Formula]) -> str:
 
 
 def _reduce(rows: list[list[Fraction]]) -> list[int]:
-    """Gauss and Jordan, in place and exactly; the columns of the pivots."""
+    """Gauss-Jordan elimination in place, exactly. Returns the columns of the pivots."""
     pivots: list[int] = []
     for column in range(len(rows[0])):
         found = next((i for i in range(len(pivots), len(rows)) if rows[i][column] != 0), None)
@@ -125,9 +126,9 @@ def composed(
     ignored: Sequence[str],
     tolerance: float,
 ) -> Composition:
-    """The doses for so much of a product, the smallest first; `amounts` of the lots make one formula of it.
+    """The doses for `amount_mg` of a product, the smallest first. `amounts` of the lots make one formula unit of it.
 
-    Raises ValueError where the assays alone leave nothing of the tolerance to the doses.
+    Raises ValueError if the uncertainty of the assays alone uses up the tolerance.
     """
     elements = [element for element in product.counts if element not in ignored]
     product_mmol = amount_mg / product.molar_mass_g_per_mol
@@ -159,14 +160,14 @@ def composed(
 
 
 def relative_tolerance(atoms: Mapping[str, Sequence[float]], assay: Sequence[float], tolerance: float) -> float:
-    """R: when each dose is within R of its mass, each element is within the tolerance t, uncertainties included.
+    """R: if each dose is within R of its mass, each element is within the tolerance t, uncertainties included.
 
         R = min over e of (t - k A_e) / (Σ_j K_ej + k A_e),   A_e² = Σ_j (K_ej u_j)²
         K_ej = max |w_ej - (1 ± t) v_j|
 
-    w_ej is the share of j in the atoms of e, v_j in all atoms (`atoms`: of each element, by powder), u_j the relative
-    standard uncertainty of its assay, k the coverage. R is never more than t. Raises ValueError where it is not
-    positive.
+    w_ej is the share of j in the atoms of e, v_j its share in all atoms (`atoms`: by element, then by powder). u_j is
+    the relative standard uncertainty of its assay, k the coverage factor. R is never more than t. Raises ValueError
+    where it is not positive.
     """
     whole = sum(map(sum, atoms.values()))
     shares = [sum(column) / whole for column in zip(*atoms.values(), strict=True)]
@@ -184,14 +185,16 @@ def relative_tolerance(atoms: Mapping[str, Sequence[float]], assay: Sequence[flo
 
 
 def reached(composition: Composition, doses: Mapping[str, tuple[float, float]], *, is_closed: bool) -> Composition:
-    """What it came to: `doses` are mass and standard uncertainty (mg) by lot, of all that the container holds.
+    """The composition that was reached. `doses`: by lot, mass and standard uncertainty [mg] of all that the container
+    holds.
 
-    Not known where that is not each of its lots, and no other.
+    The verdict is "not known" unless these are exactly the composition's lots.
 
-    u²(c_e) = (Σ_j |G_ej| n_j u(m_j) / m_j)² + Σ_j (G_ej n_j u_j)²,   G_ej = (S A_ej - c_e A_j) / Σ N,   A_j = Σ_e A_ej
+        u²(c_e) = (Σ_j |G_ej| n_j u(m_j) / m_j)² + Σ_j (G_ej n_j u_j)²
+        G_ej = (S A_ej - c_e A_j) / Σ N,   A_j = Σ_e A_ej
 
-    Errors of assays are independent. Those of the doses add up: adjusted to what all of the container has gained, they
-    are off against each other, and by as much as that nobody has kept.
+    Errors of assays are independent. Those of doses are added linearly: the doses were adjusted to the container's
+    total gain, so they are correlated, and the correlation was not kept.
     """
     powders = composition.powders
     is_whole = doses.keys() == {powder.lot for powder in powders}
@@ -225,7 +228,7 @@ def _verdict(elements: Sequence[ElementShare], tolerance: float, *, is_closed: b
 
 
 def _atoms(powders: Sequence[ComposedPowder], masses_mg: Mapping[str, float]) -> dict[str, list[float]]:
-    """mmol of each element, by powder."""
+    """Amount of each element [mmol], by powder."""
     elements = dict.fromkeys(element for powder in powders for element in powder.counts)
     return {
         element: [powder.counts.get(element, 0.0) * masses_mg[powder.lot] / powder.mg_per_mmol for powder in powders]
@@ -234,5 +237,5 @@ def _atoms(powders: Sequence[ComposedPowder], masses_mg: Mapping[str, float]) ->
 
 
 def _rounded_down(mass_mg: float) -> float:
-    """To 0.01 mg, as people read it."""
+    """To 0.01 mg, the last digit that people are shown."""
     return math.floor(100.0 * mass_mg) / 100.0

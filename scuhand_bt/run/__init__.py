@@ -1,1 +1,1 @@
-"""Running: the session, the batch, the runner that ticks one job's tree, the clocks, the guards, and resuming."""
+"""Carries out a plan: session, batch, the runner that ticks a job's tree, clocks, guards, and resuming."""

@@ -1,5 +1,6 @@
-"""What a real run refuses, or warns of, by what is known of its balance: the check weight's age, and masses and
-tolerances that the balance cannot tell. `check` notes the same; a run on simulated devices does not mind.
+"""What a real run refuses, or warns of, because of its balance: the check weight's age, masses and tolerances.
+
+`check` reports the same. Runs on simulated devices ignore it.
 """
 
 from collections.abc import Iterator
@@ -14,14 +15,14 @@ from scuhand_bt.recipe.plan import Plan
 
 
 def beyond_limits(plan: Plan, lab: Lab, figures: Figures, now: datetime) -> list[Problem]:
-    """Where a plan that doses asks more than its balance, by what was measured of it, is known to give."""
+    """Where a plan that doses asks more of its balance than is known of it, by what was measured."""
     if not any(sample.flow.pours for sample in plan.recipe.samples):
         return []
     return [*_check_weight(lab, figures, now), *_too_little(plan, lab, figures)]
 
 
 def below_usp(plan: Plan, lab: Lab, figures: Figures) -> list[Problem]:
-    """Doses below USP 41's minimum weight, by a measured repeatability, where the lab has no rule of its own."""
+    """Doses below USP 41's minimum weight, by the measured repeatability, if the lab has no rule of its own."""
     measured, limits = figures.get("repeatability_mg"), lab.cell.balance.limits
     if measured is None or limits.usp_41 is not None or limits.minimum_weight_mg > 0.0:
         return []
@@ -41,7 +42,7 @@ def _check_weight(lab: Lab, figures: Figures, now: datetime) -> Iterator[Problem
 
 
 def _too_little(plan: Plan, lab: Lab, figures: Figures) -> Iterator[Problem]:
-    """Each rule is told once, where the first sample breaks it."""
+    """One problem for each rule, at the first sample that breaks it."""
     balance, measured = lab.cell.balance, figures.get("repeatability_mg")
     repeatability_mg = least_repeatability_mg(measured.value if measured else None, balance.readability_mg)
     minimum_mg, source = balance.limits.minimum_weight_mg, "robot/cell.yaml"

@@ -1,4 +1,4 @@
-"""The batch: a plan's jobs one after the other, what to do when one fails, and a verdict for every sample."""
+"""The batch: runs a plan's jobs one after the other, handles failed samples, and gives every sample a verdict."""
 
 import traceback
 from collections.abc import Callable, Mapping
@@ -35,14 +35,14 @@ from scuhand_bt.tree.replay import Replay
 from scuhand_bt.tree.substitutes import Substitutes
 
 ANSWERS = ("flag", "redo", "skip_sample", "stop")
-"""What a person may choose for a failed sample, where the recipe says `ask`."""
+"""What a person may choose for a failed sample if the recipe says `ask`."""
 
 
 class Batch:
-    """Runs a plan on a cell, or goes on with it from what `history` has. `true_mass_mg` judges a simulated dose.
+    """Runs a plan on a cell, or resumes it from `history`. `true_mass_mg` gives the true mass of a simulated dose.
 
-    `first` is what is to be settled with the operator before the first job; `after_job` is called when a job has
-    ended and all that is known of it is in the journal. `unattended`: nobody fills the changer on the way.
+    `first` is settled with the operator before the first job. `after_job` is called when a job has ended and
+    everything known of it is in the journal. `unattended`: nobody refills the changer on the way.
     """
 
     def __init__(
@@ -77,16 +77,16 @@ class Batch:
         self._under_way: tuple[Sample, int, float] | None = None
         """The sample whose job runs, its attempt, and when that began [s]."""
         self._called_at: Job | None = None
-        """The last job as which began a person was called for the next."""
+        """The last job at whose start a person was called for the next one."""
 
     def run(self) -> BatchResult:
-        """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
+        """Run every job. Whatever happens, the cell ends safe and every sample has a verdict."""
         ending = _ended(ExitCode.CELL_FAULT, "broken")
         try:
             ending = self._run_jobs()
         except (SkillBug, PlantError, RecordLost, SkillFailed, Hung) as error:
             ending = _ended(ExitCode.CELL_FAULT, str(error))
-        except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
+        except Exception as error:  # the cell must end safe, and the journal must have the reason
             ending = _ended(ExitCode.CELL_FAULT, f"{type(error).__name__}: {error}")
             self._journal.event(Broken(traceback=traceback.format_exc()))
         finally:
@@ -112,16 +112,16 @@ class Batch:
         return BatchResult(in_order, ending.exit_code, ending.reason, self._cell.clock.now_s, ending.is_complete)
 
     def _said(self, ending: Ended) -> Ended:
-        """The run's end, as its journal has it: what is not in it did not end well."""
+        """Write the run's end into its journal. If that fails, the run did not end well."""
         try:
             self._journal.event(ending)
             self._journal.settle()
             if ending.exit_code != ExitCode.CELL_FAULT and self._journal.lost is not None:
-                raise self._journal.lost  # who was told went on all the same, to make the cell safe
+                raise self._journal.lost  # its first report was ignored, to make the cell safe
         except (RecordLost, Hung) as lost:
             ending = _ended(ExitCode.CELL_FAULT, f"how the run ended is not written: {lost}")
             with suppress(RecordLost):
-                self._journal.event(ending)  # where it goes on, if anywhere
+                self._journal.event(ending)  # into the journal's rescue copy, if there is one
         return ending
 
     def _is_safe(self) -> bool:
@@ -129,7 +129,7 @@ class Batch:
             return self._runner.make_safe()
         except RecordLost:
             return self._runner.make_safe()
-        except (Exception, Hung):  # a simulated world that breaks at every step cannot come to rest
+        except (Exception, Hung):  # such as a simulated world that raises at every step
             self._journal.event(Broken(traceback=traceback.format_exc()))
             return False
 
@@ -152,12 +152,12 @@ class Batch:
         return _ended(ExitCode.OK, "", complete=True)
 
     def _was_over(self, name: str, attempt: int) -> bool:
-        """Whether an attempt at a job had come to its end before the run was resumed."""
+        """Whether an attempt at a job had ended before the run was resumed."""
         before = self._history.jobs.get((name, attempt))
         return before is not None and before.is_over
 
     def _note_unreached(self, job: str, sample: Sample) -> None:
-        """What an earlier start of the run has made of a sample, to which this one has not come."""
+        """Give a sample that this process has not reached the result that an earlier one left."""
         begun = [attempt for name, attempt in self._history.jobs if name == job]
         attempt = begun[-1] if begun else 1
         if (known := self._history.samples.get((sample.id, attempt))) is not None:
@@ -171,7 +171,7 @@ class Batch:
             self._results.note(self._results.result_of(sample, SoFar(), "not run", None, 0.0, 1))
 
     def _note_interrupted(self, sample: Sample, attempt: int, began_s: float, failure: SkillFailed | None) -> None:
-        """What has been done for a sample whose job did not come to its end."""
+        """Record what was done for a sample whose job has not ended."""
         so_far = self._journal.so_far
         self._results.note(self._results.result_of(sample, so_far, "interrupted", failure, began_s, attempt))
 
@@ -182,7 +182,7 @@ class Batch:
         return _ended(ExitCode.INTERRUPTED, "interrupted") if outcome.interrupted else None
 
     def _run_sample(self, job: Job, sample: Sample) -> Ended | None:
-        """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
+        """Run a sample's job, and again if the recipe says so. Returns how the run ends, if it ends here."""
         if (barren := self._barren_source(sample)) is not None and (job.name, 1) not in self._history.jobs:
             what = f"'{barren}' has brought nothing before, and was not tried again for this sample"
             self._results.note(
@@ -232,7 +232,7 @@ class Batch:
             attempt += 1
 
     def _may_redo(self, job: Job, sample: Sample) -> bool:
-        """Whether the changer has containers for it beside those of all samples to come, or somebody fills it."""
+        """Whether the changer has containers for it beyond those of all later samples, or somebody can refill it."""
         if not self._unattended or (job.name, 2) in self._history.jobs:
             return True
         believed, changer = self._cell.believed, self._cell.spec.changer
@@ -241,10 +241,10 @@ class Batch:
         return changer.short_of(slots_used(believed, changer), [one.name for one in containers]) is None
 
     def _too_many_overshoots(self) -> Ended | None:
-        """How the run ends where as many samples in a row have overshot as the recipe allows.
+        """How the run ends if as many samples in a row have overshot as the recipe allows; None if it goes on.
 
-        Whichever the powder: samples share the balance and the valve. One that was not dosed tells nothing, and those
-        that a person was told of before no more.
+        Powders are not told apart, as samples share balance and valve. Samples that dosed nothing do not break the
+        row. Those that a person has been told of, before a resume, do not count again.
         """
         overshot: list[str] = []
         for result in reversed(self._results.by_id.values()):
@@ -258,12 +258,12 @@ class Batch:
         return _ended(ExitCode.CELL_FAULT, f"{Code.DOSE_OVERSHOOTS}: samples overshot in a row: {by}")
 
     def _barren_source(self, sample: Sample) -> str | None:
-        """The first of its sources that was seen to give nothing."""
+        """The first of its sources that a scoop has found to give nothing."""
         barren = self._cell.believed.barren_sources
         return next((source.name for source in sample.sources if source.name in barren), None)
 
     def _action_for(self, sample: Sample, failure: SkillFailed, attempt: int) -> str:
-        """What the recipe says, or the person it lets decide."""
+        """What the recipe says, or the person whom it lets decide."""
         action = self._plan.recipe.action_for(failure.code)
         if action != "ask":
             return action
@@ -277,7 +277,7 @@ class Batch:
                 if error.code != Code.OPERATOR_ABSENT:
                     raise
                 return "stop"
-            if answer != "stop":  # which is asked anew when the run is resumed
+            if answer != "stop":  # after "stop", the question is asked again when the run is resumed
                 self._journal.event(Chosen(sample=sample.id, attempt=attempt, action=answer))
             if answer == "redo":
                 self._cell.believed.sources_mended()
@@ -292,7 +292,7 @@ class Batch:
         return self._run_service([*begun, *of_cone, *jobs][0], attempt)
 
     def _change_sheet(self, sample: Sample, attempt: int, *, has_begun: bool) -> Ended | None:
-        """A fresh sheet, where one that has failed has left another lot on it than this sample begins with."""
+        """Swap the sheet if a failed sample has left another lot on it than this sample begins with."""
         changes = sheet_changes(sample, self._plan.recipe, self._library, self._cell.spec)
         begun = [job for job in changes if (job.name, attempt) in self._history.jobs]
         sheet = None if has_begun else self._cell.believed.sheet
@@ -300,7 +300,7 @@ class Batch:
         return self._run_service(due[0], attempt) if due else None
 
     def _run_job(self, job: Job, inputs: Mapping[str, Any], sample_id: str | None, attempt: int) -> Outcome:
-        """Run a job to its end, over all pauses that halt it; what it did before the run was resumed is replayed."""
+        """Run a job to its end, across pauses that halt it. What it did before the run was resumed is replayed."""
         journal, before = self._journal, self._history.jobs.get((job.name, attempt))
         if before is not None and before.is_over:
             journal.so_far = before.so_far
@@ -337,7 +337,7 @@ class Batch:
             replay = again.replay(history.state.get("joints_rad"))
 
     def _call_ahead(self, job: Job) -> None:
-        """Call who is needed at the next job, once for all attempts at this one."""
+        """Call the person whom the next job needs, once for all attempts at this one."""
         if self._called_at is not job and (person := self._plan.soon(job)) is not None:
             self._called_at = job
             soon = PersonSoon(job=person.job or "", what=person.what)
@@ -361,5 +361,5 @@ class Batch:
 
 
 def _ended(exit_code: int, reason: str, *, complete: bool = False) -> Ended:
-    """Why a batch ends before its last job, or with a code of its own."""
+    """The entry for a run's end."""
     return Ended(exit_code=exit_code, reason=reason, complete=complete)

@@ -1,4 +1,4 @@
-"""The twins of a lab's cell on a bench of their own, and what they can and cannot show."""
+"""A bench with twins of all devices of a lab's cell, and what these cannot show."""
 
 import sys
 from collections.abc import Mapping
@@ -29,12 +29,12 @@ NOT_WITHOUT_A_RECIPE = {
 
 
 def find_plants(lab: Lab) -> None:
-    """Let a plant be a module of the lab or of the working folder; they come last, so that they hide nothing."""
+    """Make modules of the lab and the working folder importable, for plants. They come last, so they hide nothing."""
     sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
 
 
 def require_twins(lab: Lab) -> None:
-    """SourceError for a cell with a device that has no twin, and so cannot be rehearsed."""
+    """Raises SourceError if a device of the cell has no twin, so that it cannot be rehearsed."""
     problems, cell = Problems(), lab.cell
     for name in cell.device_names:
         kind, driver = cell.kind_of(name), cell.section(name).driver
@@ -62,9 +62,9 @@ def bench_of(
     clock: Clock | None = None,
     of_run: bool = False,
 ) -> WireBench:
-    """The twins of a lab's cell: the arm parked, nothing on the pan, the powder of `sources` in mortars.
+    """The twins of a lab's cell: arm parked, nothing on the pan, the powder of `sources` in their mortars.
 
-    `ports` is the folder of their ports, one of its own if None; `of_run`: a run will tell them of its samples.
+    `ports` is the folder for their ports; None for a temporary one. `of_run`: a run will tell them of its samples.
     Raises NoCompiler, PlantError, and SourceError for faults that could have no effect.
     """
     require_twins(lab)

@@ -1,4 +1,4 @@
-"""What the cell is believed to hold, as the journal keeps it, and a resumed run takes it up; and how its arm moves."""
+"""The state of a cell as the journal keeps it for a resumed run, and a record of its motions for those who watch."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,11 +15,11 @@ from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 _BELIEVED = TypeAdapter(Believed)
 ROW_S, MOST_ROWS = 0.1, 40
-"""A motion is written down for who watches it, not to be moved along: in rows so far apart, and not more of them."""
+"""Motions are recorded for display only: one row every 0.1 s, and at most 40 rows."""
 
 
 def state_of(cell: Cell) -> dict[str, Any]:
-    """All that a program which takes over this cell needs to be told, as plain JSON values."""
+    """Everything that another program needs to take over this cell, as plain JSON values."""
     return {
         "believed": _BELIEVED.dump_python(cell.believed, mode="json", by_alias=False),
         "joints_rad": [round(angle, 9) for angle in cell.arm.positions.tolist()],
@@ -32,7 +32,7 @@ def state_of(cell: Cell) -> dict[str, Any]:
 
 
 class MotionRecord:
-    """Tells of every motion of a cell's arm and sheet as it begins."""
+    """Reports every motion of a cell's arm and sheet as it begins."""
 
     def __init__(self, cell: Cell, tell: Callable[[ArmMoves], None]) -> None:
         self._cell = cell
@@ -53,7 +53,7 @@ class MotionRecord:
         self._say(step_s, [trajectory.sample(step_s * k) for k in range(steps + 1)], self._rims_mm(steps, step_s))
 
     def _rims_mm(self, steps: int, step_s: float) -> list[float]:
-        """Of what the sheet does from now on; none where it rests."""
+        """The rim's diameter at each row while the sheet is being rolled; empty if it rests."""
         since_s = self._cell.clock.now_s - self._formed_s
         if since_s >= self._forming.duration_s:
             return []
@@ -71,21 +71,24 @@ class MotionRecord:
 
 
 def _rows(duration_s: float) -> tuple[int, float]:
-    """Into how many rows a motion is divided, and how far apart they are."""
+    """The number of steps of a motion's record, and the time between them [s]."""
     steps = min(MOST_ROWS, max(1, math.ceil(duration_s / ROW_S)))
     return steps, duration_s / steps
 
 
 def take_up(cell: Cell, state: Mapping[str, Any]) -> None:
-    """Believe what another program believed of this cell. Raises pydantic.ValidationError for what it never was."""
+    """Restore the beliefs that another program had of this cell.
+
+    Raises pydantic.ValidationError if the state is malformed.
+    """
     if not state:
         return
     cell.believed = _BELIEVED.validate_python(state["believed"], by_name=True, by_alias=False)
     source = cell.sources.get(cell.believed.cone_source or "")
-    if source is not None and cell.believed.sheet is None:  # as it could be in journals of earlier versions
+    if source is not None and cell.believed.sheet is None:  # journals of earlier versions
         cell.believed.cone_holds(source, cell.believed.cone_mg)
     for name, belief in state["powders"].items():
-        with suppress(ValidationError):  # of another version: it is learnt anew
+        with suppress(ValidationError):  # a belief of another version is learnt anew
             cell.powder_beliefs[name] = PowderBelief.model_validate(belief, by_name=True, by_alias=False)
     with suppress(ValidationError):
         cell.balance_belief = BalanceBelief.model_validate(state["balance"], by_name=True, by_alias=False)

@@ -1,7 +1,7 @@
-"""All that `run` refuses before it moves, and what is most likely not meant, found at once and without moving.
+"""`check`: finds everything that `run` would refuse, and what is probably not meant, without moving anything.
 
-One pass goes over the lab, its skills and workflows, the recipe with its tables, the plan, and the ways of the arm.
-What is wrong in a file of the lab that the recipe does not use is told as a warning: it breaks nothing here.
+One pass covers the lab, its skills and workflows, the recipe with its tables, the plan, and the arm's ways. Mistakes
+in files of the lab that the recipe does not use are reported as warnings.
 """
 
 import hashlib
@@ -43,15 +43,17 @@ if TYPE_CHECKING:
 OF_ROOTS = ("no-container", "no-tare", "not-over-pan", "no-park", "on-failure-never", "unused-source")
 """Warnings that depend on what a recipe names."""
 PLANNED = "planned.json"
-"""In the lab's state: cells whose ways were all found, by their hash."""
+"""A file in the lab's state: hashes of cells and plans whose ways were all found."""
 MOST_PLANNED = 50
+"""How many of them are kept."""
 LONG_HELD_SHARE = 0.5
-"""Of a servo's stall torque, what it may hold for the minutes of a dose; the shipped cell asks for 37 % at most."""
+"""The share of its stall torque that a servo may hold for the minutes of a dose. The shipped cell needs at most 37 %.
+"""
 
 
 @dataclass(frozen=True)
 class Checked:
-    """What was found, in the order of the files, and the plan, if nothing is wrong with it."""
+    """All problems in the order of the files; and the plan, if one could be made."""
 
     problems: tuple[Problem, ...]
     lab: Lab
@@ -63,7 +65,7 @@ class Checked:
 
 
 def check(lab: Lab, recipe: RecipeGiven | None, *, fast: bool = False) -> Checked:
-    """Check a lab as `read_lab` gives it, and a recipe of it; `fast` leaves out the planning of the arm's ways."""
+    """Check a lab as `read_lab` returns it, and one of its recipes. `fast` skips planning the arm's ways."""
     of_lab = Problems(list(lab.problems))
     check_workflows(lab.library, lab.library.workflows, of_lab)
     of_recipe = Problems()
@@ -88,12 +90,13 @@ def check(lab: Lab, recipe: RecipeGiven | None, *, fast: bool = False) -> Checke
 
 
 def on_the_cell(plan: Plan, lab: Lab) -> list[Problem]:
-    """What a run of a sound plan on the real cell would be refused for, or ask; a dry run does not mind."""
+    """What a run of a sound plan on the real cell would be refused for, or would ask. Does not apply to dry runs."""
     problems = without_driver(lab)
     try:
         stock = Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
         problems += [conflict.problem for conflict in conflicts(plan, lab.cell, stock)]
-        last = list(LabState(state_folder(lab)).figures(simulated=False).values())[-1:]  # which it is, only a run knows
+        # Only a run knows which balance is connected; the last one measured is assumed.
+        last = list(LabState(state_folder(lab)).figures(simulated=False).values())[-1:]
         figures = last[0] if last else {}
         problems += beyond_limits(plan, lab, figures, datetime.now().astimezone())
         problems += below_usp(plan, lab, figures)
@@ -103,9 +106,9 @@ def on_the_cell(plan: Plan, lab: Lab) -> list[Problem]:
 
 
 def doubts(plan: Plan, lab: Lab) -> list[Problem]:
-    """What `check` warns of a sound plan's samples: that fewer of them than is asked for will be in tolerance.
+    """`check`'s warnings that fewer of a sound plan's samples will be in tolerance than the recipe asks for.
 
-    Less what the recipe says is meant.
+    Without those that the recipe silences.
     """
     problems = Problems()
     _check_doubts(plan.recipe, lab, problems)
@@ -114,7 +117,7 @@ def doubts(plan: Plan, lab: Lab) -> list[Problem]:
 
 
 def _merged(lab: Lab, of_lab: list[Problem], of_recipe: list[Problem], *, has_recipe: bool) -> Iterator[Problem]:
-    """The problems of both; an error of the lab that breaks nothing of the recipe is a warning."""
+    """The problems of both. A mistake in the lab that does not affect the recipe becomes a warning."""
     yield from of_recipe
     cell = str(lab.folder / CELL_FILE)
     told = {(problem.mark, problem.message) for problem in of_recipe}
@@ -149,7 +152,10 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
 
 
 def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
-    """Warn of bowls that give so little at a time that doses take several scoops; of less still, runs are refused."""
+    """Warn of bowls and jars that give so little at a time that doses take several scoops.
+
+    Runs with even less are refused.
+    """
     for demand in plan.demands:
         source = demand.source
         largest_mg = max(needed_mg(sample, source) for sample in plan.recipe.samples)
@@ -164,7 +170,7 @@ def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
 
 
 def _check_redone(recipe: Recipe, lab: Lab, problems: Problems) -> None:
-    """Warn of samples done once more with a changer that is filled in the plan's order: all behind come one later."""
+    """Warn of `redo` if the changer is filled in the plan's order: later samples then get the next container."""
     changer = lab.cell.changer
     kinds = list(dict.fromkeys(one.name for sample in recipe.samples for one in sample.all_containers))
     if changer.driver == "operator" or changer.kinds or len(kinds) < 2 or not recipe.redone:
@@ -177,7 +183,7 @@ def _check_redone(recipe: Recipe, lab: Lab, problems: Problems) -> None:
 
 
 def _check_slots(recipe: Recipe, lab: Lab, problems: Problems) -> None:
-    """Warn of samples with more containers than the changer holds when it is full; of those alike, once."""
+    """Warn of samples with more containers than a full changer holds; once for samples that are alike."""
     changer, told = lab.cell.changer, set[tuple[str, ...]]()
     for sample in recipe.samples if changer.driver != "operator" else ():
         kinds = tuple(one.name for one in sample.all_containers)
@@ -207,7 +213,7 @@ def _check_doubts(recipe: Recipe, lab: Lab, problems: Problems) -> None:
 
 
 def _check_odds(recipe: Recipe, lab: Lab, problems: Problems) -> None:
-    """Warn of samples whose powder comes in lumps too large for what their tolerance accepts; of those alike, once."""
+    """Warn of samples whose powder has lumps too large for their tolerance; once for samples that are alike."""
     told, u_mg = set[tuple[str, float]](), lab.cell.balance.told_uncertainty_mg
     for sample in recipe.samples:
         for powder, tolerance_mg in sample.powder_tolerances:
@@ -223,7 +229,7 @@ def _check_odds(recipe: Recipe, lab: Lab, problems: Problems) -> None:
 
 
 def _check_telling(recipe: Recipe, lab: Lab, problems: Problems) -> None:
-    """Warn of tolerances that the balance's guard band leaves too little of; of those alike, once."""
+    """Warn of tolerances of which the balance's guard band leaves too little; once for each."""
     balance, told = lab.cell.balance, set[float]()
     for sample in recipe.samples:
         tolerance_mg = sample.least_tolerance_mg
@@ -243,7 +249,7 @@ def _tolerance_mark(recipe: Recipe, sample: Sample) -> Mark:
 
 
 def _sound(lab: Lab, errors: Collection[Problem]) -> set[str]:
-    """The workflows in which, and in all that they call, nothing is wrong."""
+    """The workflows that are free of errors, including all that they call."""
     library, trees = lab.library, lab.folder / "trees"
     wrong = {Path(problem.mark.file).stem for problem in errors if Path(problem.mark.file).parent == trees}
     calls = {name: _called(lab, name) for name in library.workflows}
@@ -259,7 +265,7 @@ def _called(lab: Lab, name: str) -> set[str]:
 
 
 def _uncalled(lab: Lab) -> set[str]:
-    """The workflows that no other calls: they are meant to be run as they are."""
+    """The workflows that no other one calls, which are meant to be run as they are."""
     workflows = lab.library.workflows
     return set(workflows).difference(*(_called(lab, name) - {name} for name in workflows))
 
@@ -279,14 +285,14 @@ def _check_on_failure(recipe: Recipe, lint: Lint, used: Collection[str], problem
 
 
 def ways_lacking(plan: Plan, lab: Lab) -> list[Problem]:
-    """Which of the ways that a sound plan needs the arm has not, and where it would get hot."""
+    """The ways that a sound plan needs and the arm does not have, and where a joint would get hot."""
     problems = Problems()
     _check_ways(plan, lab, problems)
     return problems.found
 
 
 def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
-    """Find all ways between the plan's places, as a run does; what was found before is not looked for again."""
+    """Find all ways between the plan's places, as a run does. Results are cached by hash."""
     key = _key(plan, lab)
     if (strained := _planned(lab).get(key)) is not None:
         _warn_of_strain(strained, lab, problems)
@@ -315,7 +321,7 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
 
 
 def _parked_in_zones(motion: "MotionPlanner", lab: Lab) -> Iterator[Problem]:
-    """Each zone that the arm is in where it parks: nobody else would ever have it."""
+    """A problem for each zone in which the parked arm stands: nothing else could ever enter it."""
     for zone in sorted(motion.entered(motion.home())):
         what = f"parked there, the arm stands in the zone '{zone}', and what else moves in that zone waits for ever"
         remedy = "move the station away from it, or make the zone no larger than what moves there"
@@ -324,7 +330,7 @@ def _parked_in_zones(motion: "MotionPlanner", lab: Lab) -> Iterator[Problem]:
 
 
 def _strained(motion: "MotionPlanner") -> str:
-    """The place where the arm's hardest joint holds more than it should for long, in words; empty if there is none."""
+    """Where the arm's most strained joint holds more than it should for long, as text; "" if nowhere."""
     held = {place: motion.held_at(place) for place in motion.places}
     place = max(held, key=lambda one: held[one].share)
     strain = held[place]
@@ -343,7 +349,7 @@ def _warn_of_strain(strained: str, lab: Lab, problems: Problems) -> None:
 
 
 def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
-    """Each place that cannot be reached from the park station, where it is written."""
+    """A problem for each place that cannot be reached from the park station, where that place is written."""
     import numpy as np
 
     from scuhand_bt.motion import ApexPose
@@ -366,7 +372,7 @@ def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
 
 
 def _key(plan: Plan, lab: Lab) -> str:
-    """What the ways, and what is said of them, depend on, as a hash."""
+    """A hash of everything on which the ways, and what is reported about them, depend."""
     kinds = sorted({repr(kind.kind) for sample in plan.recipe.samples for kind in sample.all_containers})
     demands = sorted(f"{demand.source!r} {demand.doses_mg} {demand.refilled_mg}" for demand in plan.demands)
     kept = sorted(kept_by_changing(lab).items())
@@ -375,7 +381,7 @@ def _key(plan: Plan, lab: Lab) -> str:
 
 
 def _planned(lab: Lab) -> dict[str, str]:
-    """What was found planned, with what was to be said of it."""
+    """The plans whose ways were found, with what was reported about each."""
     with suppress(OSError, ValueError):
         found = json.loads((state_folder(lab) / PLANNED).read_text(encoding="utf-8"))
         if isinstance(found, dict):
@@ -384,7 +390,7 @@ def _planned(lab: Lab) -> dict[str, str]:
 
 
 def _note_planned(lab: Lab, key: str, strained: str) -> None:
-    """For the next check; a lab that cannot be written is planned anew each time."""
+    """Remember a result for the next check; a lab that is read-only is planned anew each time."""
     with suppress(OSError):
         folder = state_folder(lab)
         folder.mkdir(parents=True, exist_ok=True)

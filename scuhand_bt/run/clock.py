@@ -10,27 +10,27 @@ from scuhand_bt.clock import Signal, Wake
 
 
 class Process(Protocol):
-    """What moves on with virtual time: the simulated world."""
+    """What advances with virtual time: the simulated world."""
 
     def step(self, now_s: float, limit_s: float) -> float:
-        """Go on by one step of its own choosing, not past `limit_s`; return the new time."""
+        """Advance by one step of its own choice, at most to `limit_s`. Returns the new time [s]."""
         ...
 
     def save(self) -> None:
-        """Keep what it is now where it outlives this program."""
+        """Save its state where it outlives this program."""
         ...
 
 
 SAVED_EVERY_S = 1.0
-"""So much of a killed dry run has not happened in its world; its journal knows of none of it, for that saves first."""
+"""How far a killed dry run's world may be behind [s]. Its journal is not ahead of it, as it saves the world first."""
 
 
 class VirtualClock:
-    """Time of a dry run. It passes as fast as the simulated world can be computed.
+    """Time of a dry run, which passes as fast as the simulated world can be computed.
 
-    With `speed`, it also sleeps, so that virtual time goes at most `speed` times as fast as wall time; where
-    `is_waited_in`, as fast as that at the most. `beat` is called all through each wait. The process is saved once it
-    has not been for `SAVED_EVERY_S`.
+    With `speed` it also sleeps, so that virtual time passes at most `speed` times as fast as wall time. While a person
+    is waited for (`is_waited_in`), it passes at most as fast as wall time. `beat` is called throughout each wait. The
+    process is saved whenever that is `SAVED_EVERY_S` ago.
     """
 
     def __init__(
@@ -42,36 +42,36 @@ class VirtualClock:
         self.now_s = 0.0
         self.process = process
         self.hurries: Callable[[], bool] = lambda: False
-        """Whether time need not be kept any more: the cell is to be made safe."""
+        """Whether `speed` is ignored, as the cell is to be made safe."""
         self.is_waited_in: Callable[[], bool] = lambda: False
         """Whether a person is being waited for, whose time is wall time."""
         self.before_wait: Callable[[], None] = lambda: None
-        """Called before each wait: nothing more happens at this time."""
+        """Called before each wait, when nothing more happens at the current time."""
         self._speed = speed
         self._beat = beat
         self._save_at_s = 0.0
         self._pace = speed
-        """At which time passes now."""
+        """The current limit of virtual over wall time."""
         self._paced_from_s, self._paced_from_wall_s = 0.0, time.monotonic()
 
     def go_on_from(self, now_s: float) -> None:
-        """Take up the time of a run that was interrupted."""
+        """Continue the time of an interrupted run."""
         self.now_s = self._save_at_s = now_s
         self._pace_from_here()
 
     def save(self) -> None:
-        """Let the process keep what it is now."""
+        """Save the process."""
         if self.process is not None:
             self.process.save()
         self._save_at_s = self.now_s + SAVED_EVERY_S
 
     def wait(self, wakes: Sequence[Wake]) -> None:
-        """Go on to the earliest of `wakes`, letting the process take its steps on the way.
+        """Advance to the earliest of `wakes`, stepping the process on the way.
 
-        Raises RuntimeError if nothing can ever wake: no time is given and no process could fire.
+        Raises RuntimeError if nothing could ever wake it: no time is given and no process could fire a signal.
         """
         limit_s, signals = math.inf, list[tuple[Signal, int]]()
-        for until_s, signal, seen in wakes:  # loops, here and in `_has_fired`: generators take twice as long
+        for until_s, signal, seen in wakes:  # plain loops, here and in `_has_fired`: generators take twice as long
             if until_s < limit_s:
                 limit_s = until_s
             if signal is not None:
@@ -89,7 +89,7 @@ class VirtualClock:
             self._keep_pace()
 
     def hold(self, wakes: Sequence[Wake]) -> None:
-        """Let time stand still until a signal of `wakes` fires."""
+        """Stop time until a signal of `wakes` fires."""
         self.before_wait()
         held_at = time.monotonic()
         while not any(wake.has_fired for wake in wakes):
@@ -113,7 +113,7 @@ class VirtualClock:
 
 
 def _has_fired(signals: Sequence[tuple[Signal, int]]) -> bool:
-    """Looked at after every step of the world."""
+    """Called after every step of the world."""
     for signal, seen in signals:  # noqa: SIM110
         if signal.count != seen:
             return True
@@ -121,11 +121,11 @@ def _has_fired(signals: Sequence[tuple[Signal, int]]) -> bool:
 
 
 BEAT_S = 0.02
-"""Between two beats of a wait: a third of what drivers allow (`devices.liveness`)."""
+"""Time between two beats of a wait [s]: a third of what drivers allow (`devices.liveness`)."""
 
 
 class WallClock:
-    """Time of a run on real devices, whose threads fire the signals. `beat` is called all through each wait."""
+    """Time of a run on real devices, whose threads fire the signals. `beat` is called throughout each wait."""
 
     def __init__(self, beat: Callable[[], None] = lambda: None, began_s: float = 0.0) -> None:
         self._began = time.monotonic() - began_s
@@ -137,7 +137,7 @@ class WallClock:
         return time.monotonic() - self._began
 
     def go_on_from(self, now_s: float) -> None:
-        """Take up the time of what was interrupted."""
+        """Continue the time of an interrupted run."""
         self._began = time.monotonic() - now_s
 
     def wait(self, wakes: Sequence[Wake]) -> None:
@@ -149,12 +149,12 @@ class WallClock:
         self._beat()
         with self._news:
             while self.now_s < limit_s and not any(wake.has_fired for wake in wakes):
-                # In slices: a signal handler of Python runs between waits only, and the drivers want to hear a beat.
+                # In slices: Python's signal handlers run only between waits, and drivers expect beats.
                 self._news.wait(min(limit_s - self.now_s, BEAT_S))
                 self._beat()
 
     def hold(self, wakes: Sequence[Wake]) -> None:
-        """Real time does not stand still."""
+        """As `wait`: real time does not stop."""
         self.wait(wakes)
 
     def _notify(self) -> None:

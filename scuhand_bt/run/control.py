@@ -1,8 +1,8 @@
 """Pause, continue and stop: what a person wants of a run, from its terminal or from another process.
 
-The states and what each leaves the cell in are in docs/run-behaviour.md. Another process says its wish to the run's
-own, over a socket that has a name and no file: no disk, folder or lab has to be sound for a run to be stopped, a wish
-reaches the process that has the run now or none, and that answers.
+The states, and how each leaves the cell, are in docs/run-behaviour.md. Another process sends its wish to the run's own
+process over an abstract socket. So stopping a run needs no disk, folder or lab that works, and a wish reaches either
+the process that has the run, which answers, or none.
 """
 
 import hashlib
@@ -29,26 +29,26 @@ from scuhand_bt.run.operator import Terminal
 from scuhand_bt.run.questions import ANSWERED, UNKNOWN, Question, Questions, Who, wrong_pin
 
 Shown = tuple[float, float, bool]
-"""What a balance shows: run time [s], gross [mg], whether it is stable."""
+"""What a balance shows: run time [s], gross mass [mg], whether it is stable."""
 Wish = Literal["pause", "pause_now", "continue", "stop", "stop_now"]
 HEARD = "heard"
 ANSWER_S = 5.0
-"""A process that has a run answers within this time, or does not any more."""
+"""A process that has a run answers within this time [s]; else it counts as not answering."""
 SPOKEN_S = 1.0
-"""And who is to say something has said it by then."""
+"""How long a caller may take to send its message [s]."""
 LONGEST = 4096
-"""Bytes that one can say at once."""
+"""Most bytes of a message."""
 MOST_CALLERS = 64
-"""So many are listened to at once: of more, who has been silent longest makes room."""
+"""Most simultaneous callers; one more replaces the one that has waited longest."""
 
 
 class Control:
-    """What is wanted of a run now. `news` fires whenever that changes; safe to call from any thread."""
+    """What is wanted of a run now. `news` fires whenever that changes. Safe to call from any thread."""
 
     def __init__(self) -> None:
         self.news = Signal()
         self.is_pausing = False
-        """No action may begin; `halts` says whether the one at work goes on to its end."""
+        """No action may begin; `halts` says whether the one at work is halted too."""
         self.is_stopping = False
         """No sample may begin."""
         self.halts = False
@@ -56,7 +56,7 @@ class Control:
         self.paused_by = self.continued_by = self.stopped_by = UNKNOWN
         """Who wished that last."""
         self.at_terminal = UNKNOWN
-        """Who wishes what nobody else is named for."""
+        """Who is taken as the author of a wish without a name."""
         self.questions = Questions()
         """What a person is asked."""
         self.terminal = Terminal()
@@ -65,7 +65,7 @@ class Control:
         """What the balance shows now."""
 
     def wish(self, wish: Wish, who: Who | None = None) -> None:
-        """Pause at the next safe point or now, continue, stop after this sample or now; without `who`, the operator."""
+        """Pause or stop, at the next safe point or now, or continue; without `who`, as the operator."""
         who = who or self.at_terminal
         if wish == "continue":
             self.is_pausing = self.halts = False
@@ -81,7 +81,7 @@ class Control:
         self.news.fire()
 
     def toggle_pause(self) -> None:
-        """Pause, or continue if it is paused already."""
+        """Pause, or continue if it is paused."""
         self.wish("continue" if self.is_pausing else "pause")
 
     @property
@@ -92,7 +92,7 @@ class Control:
 
 @dataclass
 class _Caller:
-    """Who has called, and what was heard until now."""
+    """A connected caller, its deadline, and what it has sent so far."""
 
     line: socket.socket
     until_s: float
@@ -100,9 +100,10 @@ class _Caller:
 
 
 class WishListener:
-    """Hears, in this process, what others say to its run. Raises OSError where another process listens for it.
+    """Receives, in this process, what others send to its run.
 
-    All callers at once, on one thread: nobody waits for one who calls and says nothing.
+    All callers are served by one thread, so that nobody waits for a caller who sends nothing. Raises OSError if
+    another process already listens for this run.
     """
 
     def __init__(self, journal: Path, control: Control) -> None:
@@ -121,7 +122,7 @@ class WishListener:
         self._thread.start()
 
     def _listen(self) -> None:
-        callers: dict[int, _Caller] = {}  # who has waited longest first
+        callers: dict[int, _Caller] = {}  # oldest first
         with selectors.DefaultSelector() as ready:
             ready.register(self._socket, selectors.EVENT_READ)
             while not self._has_ended:
@@ -137,8 +138,8 @@ class WishListener:
                 _hang_up(caller, callers, ready)
 
     def _take_calls(self, callers: dict[int, _Caller], ready: selectors.BaseSelector) -> None:
-        """Everybody who waits to be listened to."""
-        with suppress(OSError):  # nobody does, any more
+        """Accept everybody who waits."""
+        with suppress(OSError):  # nobody waits any more
             while True:
                 line, _ = self._socket.accept()
                 line.setblocking(False)
@@ -148,7 +149,7 @@ class WishListener:
                 ready.register(line, selectors.EVENT_READ)
 
     def _hears(self, caller: _Caller) -> bool:
-        """Listen to a caller who speaks; whether this one has said all, and was answered."""
+        """Receive from a caller; whether its message was complete and has been answered."""
         try:
             part = caller.line.recv(LONGEST)
             caller.heard += part
@@ -166,7 +167,7 @@ class WishListener:
             case {"wish": wish, "by": str() | None as name, "pin": str() | None as pin} if wish in get_args(Wish):
                 if not may_wish(wish, user, os.getuid()):
                     return "whose run it is has to let it go on"
-                # Only for a name that is given is a file read: no disk has to be sound for a run to be stopped.
+                # A file is read only for a name that is given, so that stopping a run needs no disk.
                 who = self._proven(name, pin, user) if name is not None else None
                 self._control.wish(cast(Wish, wish), who or Who(_name_of(user)))
                 return HEARD
@@ -181,7 +182,7 @@ class WishListener:
         return "that is no wish"
 
     def _answered(self, answer: str, number: int, name: str | None, pin: str | None, user: int) -> str:
-        """An answer is its giver's: who signs with a PIN gives it, and others have to be the run's owner."""
+        """Take an answer. It must come from a person who signs it with a PIN, or from the run's owner."""
         questions, asked = self._control.questions, self._control.questions.waiting
         if (why := questions.why_not(number, answer)) is not None or asked is None:
             return why or ANSWERED
@@ -200,17 +201,17 @@ class WishListener:
         return questions.give(number, answer, who) or HEARD
 
     def _proven(self, name: str | None, pin: str | None, user: int) -> Who | None:
-        """Who that is: the name that was given, or the system's of this user; None where a PIN does not prove it."""
+        """Who that is: the given name, or the user's name in the system. None if a PIN does not prove it."""
         try:
             named = person_name(name if name is not None else _name_of(user))
             if named not in self._persons.names():
                 return Who(named)
             return Who(named, signed=True) if pin is not None and self._persons.is_pin(named, pin) else None
-        except (ValueError, SourceError):  # no name, or a lab that cannot be read
+        except (ValueError, SourceError):  # not a name, or an unreadable lab
             return None
 
     def end(self) -> None:
-        """Hear no more."""
+        """Stop listening."""
         self._has_ended = True
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -219,12 +220,12 @@ class WishListener:
 
 
 def may_wish(wish: Wish, user: int, owner: int) -> bool:
-    """Anyone at this computer may stop a run; its owner (and root) may let it go on."""
+    """Anyone on this computer may pause or stop a run; only its owner and root may continue it."""
     return wish != "continue" or user in (owner, 0)
 
 
 def listens(journal: Path) -> bool:
-    """Whether a process has this run and hears wishes, though its lock may have been deleted."""
+    """Whether a process has this run and receives wishes, even if its lock was deleted."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line, suppress(OSError):
         line.connect(address_of(journal))
         return True
@@ -232,28 +233,28 @@ def listens(journal: Path) -> bool:
 
 
 def say_wish(journal: Path, wish: Wish, name: str | None = None, pin: str | None = None) -> str | None:
-    """Say a wish to the process that has this run, and hear what it answers: `HEARD`; None where none listens.
+    """Send a wish to the process that has this run; returns its answer (`HEARD`), or None if no process listens.
 
-    `name` is who wishes it, `pin` what proves that; without them it is the system's user. Raises TimeoutError where
-    it does not answer.
+    `name` is who wishes it, and `pin` proves that; without them it is the system's user. Raises TimeoutError if it
+    does not answer.
     """
     return _say(journal, {"wish": wish, "by": name, "pin": pin})
 
 
 def waiting_question(journal: Path) -> Question | None:
-    """What a run waits for a person with; None for nothing, or where none listens. TimeoutError as of `say_wish`."""
+    """The question that a run waits with; None if none, or if no process listens. TimeoutError as for `say_wish`."""
     said = json.loads(_say(journal, "question") or "null")
     return Question(**{**said, "choices": tuple(said["choices"])}) if said is not None else None
 
 
 def balance_now(journal: Path) -> Shown | None:
-    """What a run's balance shows now; None for nothing, or where none listens. TimeoutError as of `say_wish`."""
+    """What a run's balance shows now; None for nothing, or if no process listens. TimeoutError as for `say_wish`."""
     said = json.loads(_say(journal, "balance") or "null")
     return (said[0], said[1], said[2]) if isinstance(said, list) else None
 
 
 def say_answer(journal: Path, asked: Question, answer: str, name: str | None, pin: str | None) -> str | None:
-    """Answer a run's question: `HEARD`, why it does not count, or None where none listens. Otherwise as `say_wish`."""
+    """Answer a run's question; returns `HEARD`, or why the answer does not count. Else as `say_wish`."""
     return _say(journal, {"answer": answer, "to": asked.number, "by": name, "pin": pin})
 
 
@@ -272,12 +273,12 @@ def _say(journal: Path, said: object) -> str | None:
 
 
 def _connect(line: socket.socket, address: str) -> None:
-    """Connect; where many do at once, in turn. Raises TimeoutError, or OSError where none listens."""
+    """Connect, and retry while too many others do. Raises TimeoutError, or OSError if no process listens."""
     until_s = time.monotonic() + ANSWER_S
     while True:
         try:
             return line.connect(address)
-        except BlockingIOError:  # so many wait there already
+        except BlockingIOError:  # its queue is full
             if time.monotonic() > until_s:
                 raise TimeoutError from None
             time.sleep(0.01)
@@ -290,7 +291,7 @@ def _hang_up(caller: _Caller, callers: dict[int, _Caller], ready: selectors.Base
 
 
 def _said(heard: bytes) -> Any:
-    """What a caller says; None for what is no JSON."""
+    """A caller's message; None if it is no JSON."""
     try:
         return json.loads(heard)
     except (ValueError, RecursionError):
@@ -305,11 +306,11 @@ def _name_of(user: int) -> str:
 
 
 def address_of(journal: Path) -> str:
-    """A name that belongs to one run; of Linux' own, which are no files and end with their process."""
+    """The address of one run: in Linux' abstract namespace, which needs no file and ends with its process."""
     return f"\0scuhand-bt/{hashlib.sha256(os.fsencode(os.path.realpath(journal))).hexdigest()[:40]}"
 
 
 def _user_of(line: socket.socket) -> int:
-    """Who is at the other end, as the kernel has it."""
+    """The user at the other end, according to the kernel."""
     _, user, _ = struct.unpack("3i", line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
     return int(user)

@@ -1,9 +1,9 @@
-"""Guards: what must never be while a run goes on, looked at wherever a reading or a device's news arrives.
+"""Guards: conditions that must never occur in a run, checked at every reading and whenever a device reports.
 
-A guard that trips halts the job at once and ends the run safe; it judges no dose. Beside the devices' own
-faults there are two that only the readings tell:
+A guard that trips halts the job at once and ends the run safe; it does not judge doses. Besides the devices' own
+faults there are two that only readings show (docs/run-behaviour.md, "The guards"):
 
-* runaway: far more than the target has arrived, and the valve is still open,
+* runaway: far more than the target has arrived, and the valve is still open;
 * leak: the valve is shut, and the pan under the cone gains mass at a steady rate.
 """
 
@@ -18,29 +18,28 @@ from scuhand_bt.devices.interfaces import Device, Reading
 from scuhand_bt.failures import Code, SkillFailed
 
 BEYOND_TARGET_MG = 100.0
-"""More than honest overshoot: the worst of 24 000 simulated doses, of lumpy powder by pulses, was 96 mg too much."""
+"""More than an ordinary overshoot: the worst of 24 000 simulated doses (lumpy powder, by pulses) was 96 mg too much."""
 BEYOND_TARGET = 0.2
-"""The same as a share of the target."""
+"""The same as a share of the target; the larger of both counts."""
 RUNAWAY_S = 2.0
-"""And the valve is still open so long after: one that was told to shut has, even a slow one, and the dose is over."""
+"""How long the valve must have stayed open since then [s]: even a slow valve that was told to shut has done so."""
 SHUT_MM = 0.05
-"""A valve that reports no more is shut: its servo's zero is no better."""
+"""A valve that reports no more than this is shut; its servo's zero is no more exact."""
 SETTLED_LAGS = 4.0
-"""After the valve has shut, or the container has come, the pan's readings follow for so many of the balance's lags."""
+"""For so many of the balance's lags, readings still follow the valve's shutting or the container's arrival."""
 LEAK_MG_PER_S = 1.0
-"""A steady rise to call a leak: twice what a balance in bad need of service drifts."""
+"""Least steady rise that counts as a leak: twice the drift of a balance in bad need of service."""
 BLOCK_S = 0.5
-"""Readings are averaged over so much time, or a balance's lag or three of its periods where that is more."""
+"""Readings are averaged over this time [s], or 0.75 of the balance's lag or three of its periods if longer."""
 RISES, RISES_AT_ONCE = 4, 8
-"""A leak has raised so many averages in a row. A push or a step raises at most two, and then no more; what an opening
-let out raises four as steadily on a balance that was set slower meanwhile, so that a rise that has gone on ever since
-has to last twice as long."""
+"""How many averages in a row must rise. A push or a step raises at most two. What an opening let out may raise four
+steadily if the balance was set slower meanwhile, so a rise that goes on ever since has to last twice as long."""
 STEADY = 0.5
-"""The least of these rises as a share of the greatest: what is only settling slows down faster."""
+"""The smallest of these rises relative to the largest. Mere settling slows down faster."""
 CERTAIN = 3.0
-"""A rise counts from so many standard errors of an average: then it is no noise."""
+"""A rise counts if it is more than this many standard errors of an average, so that noise does not."""
 OVER_PAN_MM = 60.0
-"""The apex is over the pan this near to its middle."""
+"""The apex counts as over the pan within this distance of its centre."""
 
 
 class Guards:
@@ -64,12 +63,12 @@ class Guards:
         return self._wakes.copy()
 
     def look(self) -> SkillFailed | None:
-        """What has gone wrong, if anything has; cheap enough for every reading."""
+        """What has gone wrong, if anything; cheap enough for every reading."""
         for device in self._devices:
             if (fault := device.fault) is not None:
                 return fault
         reading, is_open = self._cell.balance.latest, self._cell.hand.opening_mm > SHUT_MM
-        if is_open:  # be it for less than a reading takes
+        if is_open:  # even for less than one reading
             self._still_since_s = None
         if reading is None or reading is self._seen:
             return None
@@ -108,7 +107,7 @@ class Guards:
         return SkillFailed(Code.HAND_LEAK, f"the valve is shut, and the pan below it gains {rate:.1f} mg/s")
 
     def _begin_watch(self, now_s: float) -> float:
-        """Forget what was; gives when the readings stand still, if nothing falls."""
+        """Start anew; returns the time from which readings are settled if nothing falls [s]."""
         balance, lag_s = self._cell.spec.balance, self._cell.balance_belief.lag_s
         block_s = max(BLOCK_S, 0.75 * lag_s, 3.0 * balance.period_s)
         self._rise = _Rise(block_s, max(LEAK_MG_PER_S * block_s, balance.readability_mg / 2.0))
@@ -120,7 +119,7 @@ class Guards:
 
 
 class _Rise:
-    """Averages of readings, block by block: do they rise steadily, each by `least_mg` or more?"""
+    """Averages readings in blocks, to see whether they rise steadily, each by `least_mg` or more."""
 
     def __init__(self, block_s: float, least_mg: float) -> None:
         self._block_s, self._least_mg = block_s, least_mg
@@ -131,7 +130,7 @@ class _Rise:
         self._needed = RISES_AT_ONCE
 
     def add(self, reading: Reading) -> float | None:
-        """The rate [mg/s] of a steady rise, at the end of a block that shows one."""
+        """The rate [mg/s] of a steady rise, if a block ends here that shows one."""
         if self._ends_s is None:
             self._ends_s, self._zero_mg = reading.time_s + self._block_s, reading.value_mg
         rate = self._block_ended(reading.time_s) if reading.time_s > self._ends_s - 1e-6 else None

@@ -1,6 +1,6 @@
-"""What a person does at the bench of twins, in words: `scuhand-bt twins` hears them from other programs, and in lines.
+"""What a person does at a bench of twins, as words that other programs send (`scuhand-bt twins`).
 
-A run on twins tells them in the same words what its own person has done, and asks what only the world knows.
+A run on twins uses the same words to pass on what its own person does, and to ask what only the world knows.
 """
 
 import math
@@ -32,7 +32,7 @@ WORDS = (
     "look: what is there",
     "end: the twins end; their world stays on disk",
 )
-"""A run says two more: which sample and attempt begins, and whether its own operator refuses (`comes`)."""
+"""A run has two more: `sample` (which one begins, and which attempt) and `comes` (whether a fault occurs now)."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,18 @@ class Answer:
     is_done: bool = True
     found: Mapping[str, JsonValue] = field(default_factory=dict)
     is_last: bool = False
-    """Once it is said, the twins end."""
+    """The twins end after this answer."""
 
 
 class Hands:
-    """The hands at one bench, whose lab says what kinds of containers there are."""
+    """The hands at one bench; the lab knows the kinds of containers."""
 
     def __init__(self, bench: WireBench, lab: Lab) -> None:
         self._bench = bench
         self._kinds = lab.library.containers
 
     def obey(self, words: Sequence[str]) -> Answer:
-        """Do what the words say; what was done, or why it was not."""
+        """Do what the words say; returns what was done, or why it was not."""
         try:
             done = self._do(words)
         except (KeyError, ValueError) as error:
@@ -152,7 +152,7 @@ class Hands:
 
 
 TURNS_COUNTS_PER_S = 50.0
-"""A servo that is faster than this turns."""
+"""A servo faster than this counts as turning [encoder counts/s]."""
 
 
 def _mass_mg(words: Sequence[str]) -> float:
@@ -160,7 +160,7 @@ def _mass_mg(words: Sequence[str]) -> float:
 
 
 def check_weight(mass_mg: float) -> Container:
-    """A check weight, as the world knows what stands on the pan: nothing falls into it."""
+    """A check weight as a container for the simulated world, into which nothing falls."""
     return Container(
         name="check weight",
         id=f"check weight of {mass_mg:g} mg",

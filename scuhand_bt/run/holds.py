@@ -1,7 +1,8 @@
-"""Taking what one process at a time may have: a run, and the lab's real cell.
+"""Locks for what only one process may have at a time: a run, and the lab's real cell.
 
-What keeps two from going on with one run is not this lock, which a person may delete: it is that an entry is only ever
-added behind the one that its writer knows (`journal/writer.py`). The lock tells the second one so before it begins.
+This lock is only a courtesy that tells a second process so before it begins, as a person may delete it. What really
+keeps two from going on with one run: an entry is only added after the last one that its writer knows
+(`journal/writer.py`).
 """
 
 from pathlib import Path
@@ -14,12 +15,12 @@ BEING_RUN = "the run is going on in another process; `scuhand-bt stop {}` ends i
 
 
 def take_run(journal: Path) -> Presence:
-    """Have a run, from before its history is read until it ends. Raises SourceError where another process has it."""
+    """Lock a run from before its history is read until it ends. Raises SourceError if another process has it."""
     return _take(journal, BEING_RUN.format(journal.stem))
 
 
 def take_cell(state_folder: Path) -> Presence:
-    """Have the real cell of the lab that keeps its state here. Raises SourceError where a run has it."""
+    """Lock the real cell of the lab with this state folder. Raises SourceError if a run has it."""
     what = "the cell is in use by a run, which knows best what is in it; `scuhand-bt runs` lists it: stop it first"
     return _take(state_folder / CELL, what)
 

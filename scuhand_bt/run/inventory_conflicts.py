@@ -1,6 +1,7 @@
-"""Where the inventory and a recipe disagree, and how a real run settles it before anything moves.
+"""Where the inventory and a recipe disagree, and how a real run settles that before anything moves.
 
-`check` notes the doubts; a run on simulated devices has none, as it does not depend on what is in the real cell.
+See docs/unattended.md, "What the cell holds between runs". `check` reports the conflicts. Runs on simulated devices
+have none, as they do not depend on the real cell.
 """
 
 from collections import Counter
@@ -20,11 +21,12 @@ from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Source
 
 PLAUSIBLE_SHARE = 0.05
-"""A recipe's amount and the inventory's that differ by less are the same: of the larger, or what two scoops lose."""
+"""Amounts of recipe and inventory count as equal up to a difference of this share of the larger one, or of what two
+scoops lose if that is more."""
 EMPTY_MG = 1.0
-"""A cone or a mortar with less holds nothing."""
+"""A cone or mortar with less than this is empty."""
 MOUNTED_MM = 0.5
-"""A rim that is no farther from where a sheet is mounted is there."""
+"""A rim within this distance of its size when mounted counts as just mounted."""
 
 Resolution = Callable[[Cell], None]
 
@@ -33,7 +35,7 @@ Resolution = Callable[[Cell], None]
 class Conflict:
     """One disagreement, where the recipe says otherwise, and the answers that settle it.
 
-    Without answers nothing but an operator's entry, or a change of the recipe, does.
+    Without answers, only an operator's entry or a change of the recipe settles it.
     """
 
     mark: Mark
@@ -47,7 +49,7 @@ class Conflict:
 
 
 def conflicts(plan: Plan, cell: CellSpec, stock: Stock) -> list[Conflict]:
-    """All that the inventory has against this plan."""
+    """All conflicts between the inventory and this plan."""
     return [
         *_about_sources(plan, stock),
         *about_vessels(plan, stock),
@@ -57,14 +59,14 @@ def conflicts(plan: Plan, cell: CellSpec, stock: Stock) -> list[Conflict]:
 
 
 def require_resolvable(found: Sequence[Conflict], *, unattended: bool) -> None:
-    """Raises SourceError for what no answer settles; unattended, for every conflict, as nobody can be asked."""
+    """Raises SourceError for conflicts that no answer settles; if unattended for all, as nobody can be asked."""
     problems = [conflict.problem for conflict in found if unattended or not conflict.answers]
     if problems:
         raise SourceError(problems)
 
 
 def recall(cell: Cell, stock: Stock) -> None:
-    """Let a real cell believe what the inventory says, where it is about what the recipe names."""
+    """Set a real cell's beliefs from the inventory, as far as the recipe names the same powders."""
     believed = cell.believed
     for name, source in cell.sources.items():
         known = stock.get(("station", source.station))
@@ -75,13 +77,13 @@ def recall(cell: Cell, stock: Stock) -> None:
             believed.vessel_holds(vessel.name, held.lot_key or None, held.mass_mg or 0.0)
     if (sheet := stock.get(("sheet", ""))) is not None:
         believed.sheet_is(sheet.lot_key or None, sheet.used or 1)
-    if (cone := stock.get(("cone", ""))) is not None and cone.powder:  # also of no mass: it was not seen to be empty
+    if (cone := stock.get(("cone", ""))) is not None and cone.powder:  # even with 0 mg: it was not seen to be empty
         same = [source for source in cell.sources.values() if source.sheet_key == cone.lot_key]
         if same:
             believed.cone_holds(same[0], cone.mass_mg or 0.0)
     containers = {name: entry.used or 0 for (kind, name), entry in stock.items() if kind == "container"}
     kinds = cell.spec.changer.kinds
-    is_counted = counted_otherwise(kinds, stock) is None  # else a person says that it is filled, before anything moves
+    is_counted = counted_otherwise(kinds, stock) is None  # else a person confirms that it was filled anew
     counts = {kind: stock.get(("changer", kind)) for kind in kinds or ("",)} if is_counted else {}
     slots = {kind: entry.used or 0 for kind, entry in counts.items() if entry is not None}
     believed.containers_taken(slots.get("", believed.slots_used), {**believed.containers_used, **containers})
@@ -102,7 +104,7 @@ def corrections(stock: Stock, since: str) -> Stock:
 def resolve(cell: Cell, found: Sequence[Conflict]) -> Steps[None]:
     """Ask the operator about each conflict, and believe the answer.
 
-    Raises SkillFailed operator.refused where the answer is to stop, operator.absent where nobody is there.
+    Raises SkillFailed operator.refused if the answer is to stop, operator.absent if nobody is there.
     """
     for conflict in found:
         answers = dict(conflict.answers)
@@ -126,7 +128,7 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
         mark = marks[f"sources.{name}.amount"]
         amount, left = format_mass(source.amount_mg), known.in_words
         what = f"'{name}' holds {left} of {source.sheet_key} by the inventory ({known.origin})"
-        # Of a source that is refilled on the way, what the plan begins with: the visits are as that lasts.
+        # The plan's refills are scheduled for its own `amount`, so a refilled source needs that at the start.
         enough_mg = demand.needed_mg if source.refill_mg is None else min(demand.needed_mg, source.amount_mg)
         needs = f"its samples need {format_mass(demand.needed_mg)} with losses"
         plausible_mg = max(PLAUSIBLE_SHARE * max(source.amount_mg, known.mass_mg), 2 * source.powder.scoop_loss_mg)
@@ -163,7 +165,7 @@ def _believe_source(name: str, mass_mg: float) -> Resolution:
 
 
 def about_vessels(plan: Plan, stock: Stock) -> Iterator[Conflict]:
-    """What is left would come to powder of another lot, of an earlier run or of one since this was interrupted."""
+    """A conflict if a leftover would go into a vessel with powder of another lot, also when a run is resumed."""
     for source in (demand.source for demand in plan.demands if demand.samples):
         station = source.leftover_to
         held = stock.get(("station", station))
@@ -173,7 +175,7 @@ def about_vessels(plan: Plan, stock: Stock) -> Iterator[Conflict]:
         what = f"{what}; what is left of {source.sheet_key} is to go there"
         question = f"The vessel '{station}' holds {held.lot_key}. Has it been emptied and cleaned, or changed?"
         yield Conflict(plan.recipe.marks["leftover"], what, question, (("emptied", _vessel_emptied(station)),))
-        return  # a recipe sends one lot into one vessel
+        return  # a recipe has only one such vessel, for one lot
 
 
 def _vessel_emptied(station: str) -> Resolution:
@@ -184,7 +186,7 @@ def _vessel_emptied(station: str) -> Resolution:
 
 
 def about_rim(cell: Cell, stock: Stock) -> list[Conflict]:
-    """An operator has entered a fresh sheet, and the roller has made something else of the last one that it knows."""
+    """A conflict if an operator has entered a fresh sheet, but the roller's turns say that the rim was rolled since."""
     sheet, rim_mm = stock.get(("sheet", "")), cell.hand.cone_diameter_mm
     if sheet is None or sheet.operator is None or sheet.powder or abs(rim_mm - _mounted_mm(cell.spec)) <= MOUNTED_MM:
         return []
@@ -199,7 +201,7 @@ def _mounted_mm(cell: CellSpec) -> float:
 
 
 def _as_mounted(cell: Cell) -> None:
-    """Whatever the roller has made of the sheet before."""
+    """Whatever the roller did to the sheet before."""
     cell.hand.rim_is(_mounted_mm(cell.spec))
 
 
@@ -213,7 +215,7 @@ def _slots_refilled(cell: Cell) -> None:
 
 
 def _about_hand(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
-    """The cone must be empty, or hold what comes first; and so the sheet."""
+    """The cone must be empty or hold the first sample's lot; the sheet must be fresh or have touched only that."""
     first = next((job.sample.sources[0] for job in plan.jobs if job.sample is not None and job.sample.sources), None)
     mark = plan.recipe.marks[f"sources.{first.name}"] if first is not None else Mark(str(plan.recipe.path))
     needs = f"the first sample needs {first.sheet_key}" if first is not None else "this recipe needs it empty"

@@ -1,6 +1,6 @@
-"""What a run tells its lab beside its journal: the ledger, the inventory, what was learnt, and who is not here.
+"""What a run tells its lab besides its journal: ledger, inventory, what was learnt, and notifications.
 
-None of it ends a run that has begun: what goes wrong with it is an entry of the journal, and a notice at the end.
+None of it ends a run that has begun. What goes wrong is a journal entry, and a notice at the end.
 """
 
 import time
@@ -31,16 +31,16 @@ from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 class LabRecords:
     """The lab's side of one run; `folder` keeps the lab's state. A run on the real cell starts from its `stock`.
 
-    Of a run that is not `is_kept`, nothing is told.
-
-    Raises SourceError for a lab's database that cannot be read, or a key that cannot be used.
+    A run that is not `is_kept` tells nothing. Raises SourceError for a lab database that cannot be read, or a key that
+    cannot be used.
     """
 
     def __init__(
         self, folder: Path, lab: Lab, run: str, recipe: str, simulation: Simulation | None, *, is_kept: bool
     ) -> None:
         self.notices: list[str] = []
-        """What went wrong beside the batch: a notification that failed, an inventory that could not be kept."""
+        """What went wrong besides the batch, such as a failed notification or an inventory that could not be written.
+        """
         self.learnt = LabState(folder)
         self.ledger = Ledger(folder)
         self._inventory = Inventory(folder, lab.cell.cell)
@@ -52,26 +52,26 @@ class LabRecords:
         self._is_kept = is_kept
 
     def begin(self, journal: Journal, cell: Cell) -> None:
-        """Hear all that the journal is told from now on."""
+        """From now on, be told everything that the journal is told."""
         self._journal, self._cell = journal, cell
         if self._is_kept:
             journal.heard = self._heard
 
     def odd_clock(self, since: str | None) -> str | None:
-        """What is odd about the clock, held against this lab's last word and what the run had written, `since`."""
-        with suppress(SourceError):  # of a ledger that cannot be read
+        """What is odd about the clock, compared with this lab's last entry and the run's own last one (`since`)."""
+        with suppress(SourceError):  # an unreadable ledger, which is reported when it is written
             last_at = max(filter(None, [self.ledger.last()[1], since]), key=datetime.fromisoformat, default=None)
             return disagreement(last_at)
         return None
 
     def after_job(self) -> None:
-        """A real cell's inventory and the journal's head, written beside the tick."""
+        """Write a real cell's inventory and the journal's head, on another thread than the tick."""
         if not self._cell.simulated:
             self._keep_inventory()
             self._beside.submit(self._anchor_job, *self._journal.last)
 
     def batch_ended(self) -> None:
-        """Keep what was learnt and what is left. Raises RecordLost where the journal takes no more."""
+        """Keep what was learnt and what is left. Raises RecordLost if the journal can no longer be written."""
         if self._is_kept:
             if (problem := self.learnt.keep(self._cell, self._run)) is not None:
                 self._trouble(problem)
@@ -79,23 +79,23 @@ class LabRecords:
         self._beside.shutdown()
 
     def came_to(self, result: BatchResult) -> None:
-        """Tell who is not here how it ended."""
+        """Notify how the run ended."""
         self._tell("ended" if result.is_complete else "stopped", result.reason, result)
 
     def finish_telling(self) -> None:
-        """Wait for what is being told."""
+        """Wait for notifications under way."""
         for what in self._notifier.finish():
             self._trouble(what)
 
     def anchor_end(self) -> None:
-        """What the journal ends in, closed and on disk."""
+        """Write the closed journal's head into the ledger."""
         if (problem := self.anchor("ended", *self._journal.last)) is not None:
             self.notices.append(problem)
 
     def anchor(self, occasion: Occasion, entries: int, head: str) -> str | None:
-        """Write the journal's head into the lab's ledger; what went wrong, or None.
+        """Write the journal's head into the lab's ledger; returns what went wrong, or None.
 
-        What was rescued elsewhere is not the journal: who goes on with that has another entry of this number.
+        Not that of a rescue copy elsewhere: whoever resumes the journal itself has another entry with this number.
         """
         if self._journal.kept_in != self._journal.path:
             return None
@@ -106,7 +106,7 @@ class LabRecords:
         return None
 
     def _heard(self, event: Event | Note) -> None:
-        """What goes into the journal, and a person who is not here should know."""
+        """Notify of journal entries that a person elsewhere should know of."""
         if (jump := self._clock_watch.jump()) is not None:
             self._trouble(jump)
         if isinstance(event, Paused):
@@ -118,11 +118,13 @@ class LabRecords:
 
     @property
     def _is_waited_for(self) -> bool:
-        """Whether a question is put to a person who may be elsewhere."""
+        """Whether questions go to a real person, who may be elsewhere."""
         return not isinstance(self._simulation, DryRun) or self._simulation.asks
 
     def _anchor_job(self, entries: int, head: str) -> None:
-        """On its own thread, and once it is on disk: the ledger never has what a power cut takes from the journal."""
+        """Write the ledger once the entries are on disk, so that it never has what a power cut took from the
+        journal.
+        """
         while self._journal.waits(entries) is not None:
             time.sleep(0.05)
         if (problem := self.anchor("job", entries, head)) is not None:
@@ -130,7 +132,7 @@ class LabRecords:
                 self._trouble(problem)
 
     def _keep_inventory(self) -> None:
-        """Written beside the tick, as the journal is."""
+        """Written on another thread than the tick, as the journal is."""
         keeping = self._beside.submit(self._inventory.keeping(self._cell, self._run))
         keeping.add_done_callback(self._kept_inventory)
 

@@ -1,4 +1,4 @@
-"""Making the cell that a plan runs on: simulated, simulated behind the real drivers, or the real one."""
+"""Makes the cell that a plan runs on: simulated, simulated behind the real drivers (a rehearsal), or real."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -40,9 +40,9 @@ from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container
 
 FAULTS = "faults.yaml"
-"""What goes wrong on a rehearsal's twins, in their folder."""
+"""The fault file of a rehearsal's twins, in their folder."""
 REHEARSED_ANSWER_S = 2.0
-"""Time that the simulated person of a rehearsal takes to do what is asked."""
+"""How long the simulated person of a rehearsal takes to do what is asked [s]."""
 
 
 Ask = Callable[[Clock], PersonOperator]
@@ -51,22 +51,22 @@ Ask = Callable[[Clock], PersonOperator]
 
 @dataclass(frozen=True)
 class Setup:
-    """A cell made ready: its world if it is here, what judges its doses, what closes it, its run's pulse."""
+    """A cell made ready, its world if it is in this process, the truth about it, what closes it, and its liveness."""
 
     cell: Cell
     world: World | None
     truth: "Truth | None"
-    """None where nobody knows the true mass."""
+    """None if nobody knows the true masses."""
     close: Callable[[], None]
     liveness: Liveness
 
 
 class Truth(Protocol):
-    """A simulated world, here or in its twins' process, for judging and never for skills."""
+    """A simulated world, in this process or in its twins', for judging results and never for skills."""
 
     @property
     def masses_mg(self) -> Mapping[str, float]:
-        """What is in every compartment [mg]; empty where nobody knows any more."""
+        """What is in every compartment [mg]; empty if nobody knows any more."""
         ...
 
     @property
@@ -94,17 +94,17 @@ def set_up(
     resumed_at_s: float | None = None,
     may_torque: bool = True,
 ) -> Setup:
-    """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
+    """The cell for a plan, with all motions between its places planned (in `motion`, if given).
 
-    `person` is who answers at the run's `terminal`, where one can be asked; `questions` is where others do.
-    `world_path` is the file in which a dry run's world outlives the program. `resumed_at_s` is the run time at
-    which an interrupted run goes on: a dry run's world is then taken up from its file, and plans are made as they
-    are needed, as they were all found possible before. Without `may_torque` a real arm that has none is refused.
+    It is the real one if `simulation` is None. `person` answers at the run's `terminal`, others through `questions`.
+    `world_path` is the file in which a dry run's world outlives the program. `resumed_at_s` is the run time at which
+    an interrupted run continues: a dry run's world is then restored from its file, and motions are planned when
+    needed, as all were found possible before. Without `may_torque` a real arm that has no torque is refused.
 
-    Raises SourceError for a real run on a cell whose changer has no driver, for a world's file that cannot be taken
-    up and for faults that cannot come in this run; SkillFailed arm.* for a way that cannot be planned, device.lost
-    for a device that cannot be opened; PlantError for a plant that cannot be used; NoCompiler for a rehearsal
-    without a C++ compiler.
+    Raises SourceError for a real run on a cell whose changer has no driver, for a world's file that cannot be restored
+    and for faults that cannot occur in this run; SkillFailed arm.* for a way that cannot be planned, device.lost for a
+    device that cannot be opened; PlantError for a plant that cannot be used; NoCompiler for a rehearsal without a C++
+    compiler.
     """
     if simulation is None and (problems := without_driver(lab)):
         raise SourceError(problems)
@@ -212,7 +212,7 @@ def _rehearsal(
 
     def slot_of(container: Container) -> int:
         slot = believed_slot(cell.believed, container, lab.cell.changer.first_slot(container.name))
-        # A person fills the changer in the order in which it is emptied.
+        # As a person would, fill each slot with the container that is expected in it.
         twins.say("fill", str(slot + 1), container.name, container.id)
         return slot
 
@@ -245,7 +245,7 @@ def _rehearsal(
 
 
 def _twins_of(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal) -> Twins:
-    """The process with a rehearsal's twins: the one that goes on, or one that takes up their world, or a new one."""
+    """A process with a rehearsal's twins: one that is still running, one that restores their world, or a new one."""
     folder = folder_of_run(journal.path)
     command = [str(plan.recipe.path.absolute()), "--lab", str(lab.folder.absolute()), "--seed", str(rehearsal.seed)]
     if rehearsal.plant is not None:
@@ -309,7 +309,7 @@ def _wired_cell(
     *,
     simulated: bool,
 ) -> Cell:
-    """The cell over drivers that are open."""
+    """The cell with drivers that are already open."""
     return Cell(
         spec=lab.cell,
         clock=clock,

@@ -1,4 +1,4 @@
-"""Where a mortar that stands badly might be put: places about the arm, as high as it is or on a stand, and in words."""
+"""Where a badly placed mortar might stand instead: places around the arm, at its height or on a stand."""
 
 import math
 from collections.abc import Collection, Iterator
@@ -11,16 +11,16 @@ from scuhand_bt.motion.cell_solids import are_in_each_other, full_mortar, solids
 from scuhand_bt.specs import Mortar, Source
 
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
-"""Such places: from the arm's base, and aside of straight ahead."""
+"""Candidate places in polar coordinates: distance from the arm's base, and angle from straight ahead to either side."""
 STANDS_MM, NEAREST = (20.0, 40.0), 8
-"""And on a stand so high, where it is and at the nearest: handle and wrist come low beside what is flat and thin."""
+"""Heights of stands to try, at the mortar's own place and the `NEAREST` others. Over a flat vessel the hand is low."""
 BESIDE_MM, STOOD_ON_MM = 10.0, 1.0
-"""What it is to be clear of what stands beside it; and what comes no higher than that is under it."""
+"""The clearance that it needs beside other things; and the height up to which something counts as being under it."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a mortar's foot might be: as the cell's file has it, where that really is, and how much higher than now."""
+    """A candidate for a mortar's foot: as written in the cell's file, where that is, and how much higher than now."""
 
     station: str
     written_mm: Point
@@ -29,7 +29,7 @@ class Place:
     is_elsewhere: bool = True
 
     def said(self) -> str:
-        """In words, for whoever is to put the mortar there."""
+        """As text, for whoever is to put the mortar there."""
         at = ", ".join(f"{mm:g} mm" for mm in self.written_mm)
         if not self.is_elsewhere:
             return f"'{self.station}' where it is"
@@ -41,9 +41,9 @@ class Place:
 
 
 def places_for(cell: CellSpec, source: Source, others: Collection[Source], *, may_stay: bool) -> Iterator[Place]:
-    """What is worth a look, the nearest first: as high as now, then on ever higher stands; first of all where it is.
+    """Candidates: the present place, others at its height from the nearest on, then ever higher stands.
 
-    The `others` are the sources whose mortars stand there meanwhile: it is to be clear of them.
+    `others` are the sources whose mortars stand there meanwhile, of which it must be clear.
     """
     station = cell.stations[source.station]
     if may_stay and _has_room(cell, source, station.position_mm, others):
@@ -71,7 +71,7 @@ def places_for(cell: CellSpec, source: Source, others: Collection[Source], *, ma
 
 
 def _as_written(station: Station, place_mm: Point) -> tuple[Point, Point]:
-    """How the cell's file has a place for a station, to 0.1 mm, and where what is written there really is."""
+    """How the cell's file writes a place for a station, rounded to 0.1 mm, and where that is."""
     if (frame := station.of_frame) is None:
         return place_mm, place_mm
     x_mm, y_mm, z_mm = (round(mm, 1) + 0.0 for mm in frame.written_mm(place_mm))
@@ -79,9 +79,9 @@ def _as_written(station: Station, place_mm: Point) -> tuple[Point, Point]:
 
 
 def _has_room(cell: CellSpec, source: Source, place_mm: Point, others: Collection[Source]) -> bool:
-    """Whether the mortar there would be clear of other stations, and of what stands as high as it does.
+    """Whether the mortar would be clear there of other stations, and of solids at its height.
 
-    The `others` have mortars; what other stations have, that is no business of the plan, is taken to be as wide.
+    The mortars of `others` are known; at stations that the plan does not use, one as wide as this is assumed.
     """
     half_mm = source.mortar.outer_diameter_mm / 2 + BESIDE_MM
     halves_mm = {one.station: one.mortar.outer_diameter_mm / 2 + BESIDE_MM for one in others}
@@ -106,16 +106,16 @@ def _has_room(cell: CellSpec, source: Source, place_mm: Point, others: Collectio
             (high_mm + source.mortar.height_mm) / 2
         )
         aside_mm = (place_mm[0] - solid.at_mm[0], place_mm[1] - solid.at_mm[1])
-        x_mm, y_mm = turned(*aside_mm, -math.radians(solid.yaw_deg))  # as a box lies
+        x_mm, y_mm = turned(*aside_mm, -math.radians(solid.yaw_deg))  # in the box's own frame
         if is_as_high and abs(x_mm) < wide_mm / 2 + half_mm and abs(y_mm) < deep_mm / 2 + half_mm:
             return False
     return True
 
 
 def _stands_in_mesh(solid: Obstacle, place_mm: Point, mortar: Mortar) -> bool:
-    """Whether its surface is where the mortar would be, but for what that stands on.
+    """Whether the mesh's surface is where the mortar would be, apart from what it stands on.
 
-    In one that encloses it no way of the arm is found.
+    A mesh that encloses the mortar is not found here, but then the arm has no way to it.
     """
     x_mm, y_mm, z_mm = place_mm
     there = Station(name="there", kind="mortar", position_mm=(x_mm, y_mm, z_mm + STOOD_ON_MM))

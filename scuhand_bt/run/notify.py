@@ -1,7 +1,8 @@
-"""The notification hook: a program or a web address is told when a run pauses, needs a person, or has ended.
+"""Notifications: tells a program or a web address when a run pauses, needs a person, or has ended.
 
-`notify:` in `robot/cell.yaml` names it. What is sent is one JSON object, a `Notice`. Whatever goes wrong with it is
-text to be shown and kept: it never raises, never takes longer than `LONGEST_S`, and never changes how a run ends.
+`notify:` in `robot/cell.yaml` names it (docs/unattended.md, "Who is notified"). It gets one JSON object, a `Notice`.
+Failures are returned as text: sending never raises, never takes longer than `LONGEST_S`, and never changes how a run
+ends.
 """
 
 import http.client
@@ -23,38 +24,38 @@ from scuhand_bt.cell_spec import NotifySpec
 from scuhand_bt.clock import wall_time
 
 LONGEST_S = 10.0
-"""Wall time that one notice may take."""
+"""Wall time that one notice may take [s]."""
 
 NoticeState = Literal["person soon", "needs person", "paused", "stopped", "ended"]
 
 
 @dataclass(frozen=True)
 class Notice:
-    """What is told: which run, what has come of it, and why."""
+    """What is sent: which run, its state, and why."""
 
     run: str
     recipe: str
     simulated: bool
     state: NoticeState
     reason: str = ""
-    """What a person is needed for, what the fault was, why it ended early; empty where all went well."""
+    """What a person is needed for, what the fault was, or why it ended early; empty if all went well."""
     exit_code: int | None = None
     """None while the run may go on."""
     verdicts: Mapping[str, int] = field(default_factory=dict)
     """How many samples have ended with each verdict."""
     head: str | None = None
-    """The head of the journal's chain, once it is known."""
+    """The head of the journal's hash chain, once it is known."""
     at: str = field(default_factory=wall_time)
     """Wall time, ISO 8601 with its zone."""
     choices: Sequence[str] = ()
-    """Of what is asked: `scuhand-bt answer RUN` gives one."""
+    """The answers to what is asked; `scuhand-bt answer RUN` gives one."""
 
     def to_json(self) -> str:
         return json.dumps({name: getattr(self, name) for name in self.__dataclass_fields__}, sort_keys=True)
 
 
 class Notifier:
-    """Sends notices without keeping the cell waiting. `spec` is None where nobody is to be told."""
+    """Sends notices without keeping the cell waiting. `spec` is None if nobody is to be notified."""
 
     def __init__(self, spec: NotifySpec | None) -> None:
         self._spec = spec
@@ -69,7 +70,7 @@ class Notifier:
             thread.start()
 
     def finish(self) -> list[str]:
-        """Wait for what is under way; what went wrong since the last call."""
+        """Wait for notices under way; returns what went wrong since the last call."""
         for thread in self._sending:
             thread.join()
         self._sending.clear()
@@ -82,7 +83,7 @@ class Notifier:
 
 
 def notify(spec: NotifySpec, notice: Notice) -> str | None:
-    """Send one notice and wait for it, `LONGEST_S` at the most; what went wrong, or None."""
+    """Send one notice and wait for it, at most `LONGEST_S`; returns what went wrong, or None."""
     found: list[str | None] = [f"the notification was not done after {LONGEST_S:g} s"]
 
     def send() -> None:
@@ -94,7 +95,7 @@ def notify(spec: NotifySpec, notice: Notice) -> str | None:
         except Exception as error:
             found[0] = f"the notification failed: {type(error).__name__}: {error}"
 
-    # On a thread of its own: resolving a name, or a server that answers drop by drop, knows no time limit.
+    # On a thread of its own, as neither name resolution nor a trickling answer has a time limit.
     thread = threading.Thread(target=send, daemon=True)
     thread.start()
     thread.join(LONGEST_S)
@@ -110,7 +111,7 @@ def _run_command(command: tuple[str, ...], text: str) -> str | None:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             text=True,
-            start_new_session=True,  # so that Ctrl-C is the run's alone, and all of it can be ended
+            start_new_session=True,  # so that Ctrl-C does not reach it, and its whole process group can be killed
         )
     except (OSError, ValueError) as error:
         return f"the notification command '{name}' cannot be started: {getattr(error, 'strerror', None) or error}"
@@ -127,9 +128,9 @@ def _run_command(command: tuple[str, ...], text: str) -> str | None:
 
 
 def _post(url: str, allow: tuple[str, ...], text: str) -> str | None:
-    """POST to the address that was checked, so that no second look-up of the name can lead elsewhere.
+    """POST to the very address that was checked, so that no second look-up of the name can lead elsewhere.
 
-    `http.client` follows no redirection and uses no proxy: what is not allowed is not reached by a detour.
+    `http.client` follows no redirection and uses no proxy, so nothing else is reached by a detour.
     """
     parts = urlsplit(url)
     host, is_https = parts.hostname or "", parts.scheme == "https"
@@ -159,7 +160,7 @@ def _post(url: str, allow: tuple[str, ...], text: str) -> str | None:
 
 
 def _connected(addresses: Sequence[str], port: int) -> socket.socket:
-    """A connection to the first address that takes it; OSError of the last one if none does."""
+    """A connection to the first address that accepts it; raises the last one's OSError if none does."""
     for address in addresses[:-1]:
         with suppress(OSError):
             return socket.create_connection((address, port), LONGEST_S)

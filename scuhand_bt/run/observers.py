@@ -1,4 +1,4 @@
-"""Who is told how a batch goes on: the live view, plain lines, and whoever else asks for it."""
+"""Observers of a batch: the live view, plain lines, and others."""
 
 from py_trees.behaviour import Behaviour
 
@@ -9,39 +9,39 @@ from scuhand_bt.tree.build import Tree
 
 
 class BatchObserver:
-    """Is told how the batch goes on, and shows nothing of it; the live view and plain lines do."""
+    """Is told how the batch goes on, and ignores it; subclasses show it."""
 
     def tree_made(self, tree: Tree) -> None:
-        """The tree of an attempt at a job, before its first tick."""
+        """The tree of an attempt at a job was made, before its first tick."""
 
     def ticked(self, root: Behaviour) -> None:
-        """The tree after a tick; must be quick."""
+        """The tree was ticked; must be quick."""
 
     def job_started(self, job: Job, number: int) -> None:
-        """A job of the plan begins, or a sample's is taken up; its number is counted from 0."""
+        """A job of the plan begins, or a sample's job is resumed; `number` counts from 0."""
 
     def attempt_started(self, job: Job, attempt: int) -> None:
-        """An attempt at a job, or at a recovery, begins or is taken up."""
+        """An attempt at a job or a recovery begins or is resumed."""
 
     def person_called(self, soon: PersonSoon) -> None:
-        """A person is going to be asked for something at the next job, and may come meanwhile."""
+        """A person will be asked for something at the next job, and may come meanwhile."""
 
     def sample_ended(self, result: SampleResult) -> None:
-        """A sample has its result, or another one than it had."""
+        """A sample has a result, or a changed one."""
 
     def sample_known(self, result: SampleResult) -> None:
-        """A sample has had its result since before the run was resumed: as if it came now, unless told otherwise."""
+        """A sample already had its result before the run was resumed. By default treated as if it came now."""
         self.sample_ended(result)
 
     def paused(self) -> None:
-        """The run stands still, as a person wished it."""
+        """The run is paused by a person."""
 
     def continued(self) -> None:
-        """A person let it go on."""
+        """A person has continued it."""
 
 
 class Observers(BatchObserver):
-    """Several, each told in its turn."""
+    """Passes everything on to several observers in turn."""
 
     def __init__(self, *observers: BatchObserver) -> None:
         self._each = observers

@@ -1,4 +1,4 @@
-"""Doses that a workflow takes of one scoop: whether one can bring them all, before a run finds the cone empty."""
+"""Checks, before a run, whether one scoop can bring all the doses that a workflow takes from it."""
 
 import math
 from collections.abc import Iterator
@@ -16,12 +16,12 @@ from scuhand_bt.run.stroke_ways import one_load_mg
 from scuhand_bt.specs import Source
 
 OTHER_FILLS = (0.75, 0.5, 0.25, 1.5, 2.0, 3.0)
-"""Times what a source begins with, of which a scoop may bring enough: the first that does is told."""
+"""Multiples of a source's `amount` that the remedy tries; the first with which a scoop brings enough is named."""
 
 
 @dataclass(frozen=True)
 class _OfOneScoop:
-    """What a sample takes of a source by one scoop, from a bed of so much."""
+    """What a sample takes from a source by one scoop, and how much the mortar holds then."""
 
     sample: Sample
     source: Source
@@ -30,10 +30,10 @@ class _OfOneScoop:
 
 
 def warn_of_one_scoop(plan: Plan, cell: CellSpec, problems: Problems) -> None:
-    """Warn of samples whose doses are more than one scoop should bring; of those alike, once.
+    """Warn of samples whose doses are more than one scoop should bring; once for samples that are alike.
 
-    That is the less of what the first stroke brings, and one in what is left by then, if that were level: in a bowl
-    that is nearly full the former is less, and strokes leave it no better.
+    That is the lesser of what the first stroke brings and what a stroke brings from what is left by then, if that were
+    level. In a nearly full bowl the first is less, and strokes do not improve it.
     """
     told = set[tuple[str, tuple[float, ...]]]()
     for one in _of_one_scoop(plan):
@@ -49,7 +49,7 @@ def warn_of_one_scoop(plan: Plan, cell: CellSpec, problems: Problems) -> None:
 
 
 def _of_one_scoop(plan: Plan) -> Iterator[_OfOneScoop]:
-    """In the order of the plan; before a sample for which too little is left a mortar is refilled."""
+    """In the plan's order. A mortar that holds too little for a sample is refilled before it."""
     left_mg = {demand.source.name: demand.source.amount_mg for demand in plan.demands}
     for sample in (job.sample for job in plan.jobs if job.sample is not None):
         for source in sample.sources:
@@ -68,13 +68,16 @@ def _of_one_scoop(plan: Plan) -> Iterator[_OfOneScoop]:
 def _brings_mg(
     cell: CellSpec, source: Source, beds_mg: tuple[float, ...], of_none_mg: float = math.inf
 ) -> tuple[float, float]:
-    """The least that one scoop should bring of these beds, and of which; so much where there is no stroke."""
+    """The least that one scoop should bring from any of these beds, and from which.
+
+    `of_none_mg` counts where no stroke is possible.
+    """
     loads_mg = [one_load_mg(cell, source, bed_mg) for bed_mg in beds_mg]
     return min((of_none_mg if mg is None else mg, bed_mg) for mg, bed_mg in zip(loads_mg, beds_mg, strict=True))
 
 
 def _remedy(one: _OfOneScoop, cell: CellSpec, brings_mg: float) -> str:
-    """What would do without the last of a load, which `cone_holds` begins no dose with either."""
+    """What would suffice without the last part of a load, with which `cone_holds` begins no dose either."""
     source, sure = one.source, 1.0 - LAST_SHARE
     sum_mg, fit = sum(one.doses_mg), sum(mg <= sure * brings_mg for mg in accumulate(one.doses_mg))
     ways = [f"doses of {format_mass(math.floor(sure * brings_mg / len(one.doses_mg)))} at most"]

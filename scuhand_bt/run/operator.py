@@ -1,4 +1,4 @@
-"""The person at the cell: who answers on a terminal or from elsewhere, a simulated one, or nobody."""
+"""The person at the cell: one who answers at a terminal or from elsewhere, a simulated one, or nobody."""
 
 import sys
 import threading
@@ -18,13 +18,13 @@ from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import Container
 
 Tell = Callable[[Asked | Answered | Trouble], None]
-"""Writes a question, its answer, or a wrong PIN into the journal."""
+"""Writes a question, its answer or a wrong PIN into the journal."""
 ANSWER_S = 60.0
-"""Run time that a simulated person takes to come, do what is asked, and say so."""
+"""Run time that a simulated person takes to come, do what is asked, and say so [s]."""
 AT_HAND = 1 / 3
-"""The share of it that is doing it and saying so: what one takes who stands at the cell already."""
+"""The share of `ANSWER_S` for doing it and saying so, which is all that a person at the cell needs."""
 LOOK_S = 0.1
-"""So often it is looked whether what was asked for has shown."""
+"""How often it is checked whether what was asked for is done [s]."""
 
 
 @dataclass(frozen=True)
@@ -33,19 +33,19 @@ class Person:
 
     name: str
     is_pin: Callable[[str], bool] | None = None
-    """Who has a PIN has proven by it who this is, and signs every answer with it."""
+    """Checks the PIN, if this person signs every answer with one."""
 
 
 class Chances(Protocol):
-    """What goes wrong (`sim/faults.py`), of this cell or of twins elsewhere."""
+    """What goes wrong (`sim/faults.py`), in this cell or in twins elsewhere."""
 
     def comes(self, fault: str, now_s: float) -> bool:
-        """Whether this momentary fault comes now."""
+        """Whether this momentary fault occurs now."""
         ...
 
 
 class SimulatedOperator:
-    """Does what is asked, in a minute of run time unless told otherwise; refuses where `faults` has it so."""
+    """Does what is asked, in a minute of run time by default; refuses where `faults` says so."""
 
     def __init__(self, clock: Clock, tell: Tell, answer_s: float = ANSWER_S, faults: Chances | None = None) -> None:
         self._clock = clock
@@ -53,9 +53,9 @@ class SimulatedOperator:
         self._answer_s = answer_s
         self._faults: Chances = faults or Faults()
         self.sees: Callable[[], Collection[str]] = tuple
-        """What it answers where it is asked about what it can see."""
+        """The answers to questions about what it can see."""
         self._comes_s: float | None = None
-        """From when on it stands at the cell, called or waiting for what it is asked next; None: it was not called."""
+        """From when on it stands at the cell [s], for a call or its next request; None if it was not called."""
 
     def expect(self) -> None:
         if self._comes_s is None:
@@ -106,13 +106,13 @@ class SimulatedOperator:
 
 
 class Nobody:
-    """An unattended run's operator: whatever is asked, nobody is there."""
+    """The operator of an unattended run: every question fails."""
 
     def expect(self) -> None:
-        """Nobody sets out."""
+        """Nobody comes."""
 
     def dismiss(self) -> None:
-        """Nobody has come."""
+        """Nobody leaves."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         raise SkillFailed(Code.OPERATOR_ABSENT, f"the run is unattended; it was to be asked: {question}")
@@ -124,9 +124,9 @@ class Nobody:
 
 
 class PersonOperator:
-    """Asks a person, who answers on the run's terminal or from elsewhere: the first answer counts.
+    """Asks a person, who answers at the run's terminal or from elsewhere; the first answer counts.
 
-    While nobody answers, it waits; the cell stays watched meanwhile.
+    It waits as long as nobody answers, while the guards keep watching.
     """
 
     def __init__(
@@ -144,10 +144,10 @@ class PersonOperator:
         return self._questions.waiting is not None
 
     def expect(self) -> None:
-        """Who is told otherwise comes by themselves."""
+        """Nothing to do: persons are notified, and come by themselves."""
 
     def dismiss(self) -> None:
-        """And goes by themselves."""
+        """Nothing to do."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         answer = yield from self._ask(question, choices, None)
@@ -165,7 +165,7 @@ class PersonOperator:
         questions = self._questions
         turn = Wake.on(questions.news)
         while (asked := questions.ask(question, choices)) is None:
-            yield turn  # what goes on beside this asks something else
+            yield turn  # another action's question is waiting
             turn = Wake.on(questions.news)
         try:
             self._tell(Asked(question=question, choices=list(choices)))
@@ -195,24 +195,24 @@ class Terminal:
         return sys.stdin.isatty()
 
     def show(self, question: Question) -> None:
-        """A question waits."""
+        """Show a question that waits."""
         self.say(f"{question.text} [{'/'.join(question.choices)}]")
 
     def say(self, text: str) -> None:
-        """Something about an answer."""
+        """Print something about an answer."""
         print(harmless(text), flush=True)
 
     def readline(self) -> str:
-        """A line that was typed; "" where none comes any more."""
+        """A line that was typed; "" at the end of input."""
         return sys.stdin.readline()
 
     def hidden(self, prompt: str) -> str:
-        """A line that nobody sees."""
+        """A line that is typed without echo."""
         return getpass(prompt)
 
 
 class _Listener:
-    """Reads answers from the run's terminal, if it has one, on a thread of its own; the terminal may vanish."""
+    """Reads answers from the run's terminal, if it has one, on its own thread. The terminal may vanish."""
 
     def __init__(self, questions: Questions, person: Person, terminal: Terminal) -> None:
         self._questions = questions
@@ -262,13 +262,13 @@ class _Listener:
 
 
 UNKNOWN = ""
-"""Whatever an earlier run may have left on the pan."""
+"""The pan may hold something that an earlier run has left."""
 
 
 class OperatorChanger:
-    """A container changer that is the operator's hands; `place` and `remove` let a simulation follow.
+    """A container changer that is the operator's hands; a simulation follows through `place` and `remove`.
 
-    `may_be_loaded`: a run before this one may have left a container on the pan.
+    `may_be_loaded`: an earlier run may have left a container on the pan.
     """
 
     needs_person = True
@@ -308,7 +308,7 @@ class OperatorChanger:
             self._removed()
 
     def hand_over(self, to: Container, is_bare: Callable[[], bool]) -> Steps[None]:
-        # The answers are no others': one given a moment too late is not taken for that to the next question.
+        # No other question has this answer, so one that comes a moment too late is not taken for the next one's.
         off = f"'{self._on_pan}'" if self._on_pan else "the container"
         request = (
             f"Take {off} off the pan; the bare pan is then weighed by itself, and you are told to put the {to.name} "

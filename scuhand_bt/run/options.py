@@ -1,4 +1,4 @@
-"""How a plan is to be run: as it was asked for, as the journal's first entry keeps it, and as a resumed run has it."""
+"""How a plan is to be run: as requested, as the journal's first entry has it, and as a resumed run gets it."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -25,7 +25,7 @@ LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic", "molmass
 
 
 ON_TWINS = "TWINS (simulated matter, real drivers)"
-"""The mode of a run on the cell whose devices say that they are twins, of another program."""
+"""The mode of a run on the cell whose devices report that they are another program's twins."""
 
 
 @dataclass(frozen=True)
@@ -39,26 +39,26 @@ class Options:
     unattended: bool = False
     """Nobody is at the cell: a plan that needs a person is refused, and no question waits."""
     may_torque: bool = True
-    """Whoever began or resumed it has seen the arm: if it has no torque, it may be held where it is."""
+    """Whoever began or resumed the run has seen the arm. If it has no torque, it may be held where it is."""
     person: Person | None = None
-    """Who runs it, and answers; the user of the computer if None."""
+    """Who runs it and answers; the user of the computer if None."""
     single_step: bool = False
     """A person is asked before each action."""
     slow_ratio: float = 1.0
-    """Of the cell's own speeds: what arm, roller and changer may go at; see `CellSpec.slowed`."""
+    """The share of their own speeds at which arm, roller and changer may go (`CellSpec.slowed`)."""
     is_kept: bool = True
-    """A journal is kept, and what else outlives a run. Of a dry run that nobody will look at again, nothing is: nobody
-    is told of it either, and nothing is learnt."""
+    """Keep a journal and everything else that outlives a run. Without it, as for a dry run that nobody will look at,
+    nothing is learnt and nobody is notified."""
 
 
 def options_of(history: History, folder: Path) -> Options:
-    """The options that an interrupted run was begun with."""
+    """The options with which an interrupted run was begun."""
     run, given = history.run, history.run.options
     faults = parse_faults(run.faults_text, given.faults or "") if run.faults_text is not None else None
     simulation: Simulation | None = None
     if run.mode == Rehearsal.mode:
         simulation = Rehearsal(run.seed or 0, given.plant, faults, given.asks)
-    elif run.seed is not None:  # twins of another program have one of their own
+    elif run.seed is not None:  # None also on another program's twins
         simulation = DryRun(run.seed, given.plant, given.speed, faults, given.asks)
     return Options(
         simulation, given.controller, folder, run.unattended, single_step=given.step, slow_ratio=given.slow_ratio
@@ -73,7 +73,7 @@ def check_controller(name: str | None) -> None:
 
 
 def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, person: Person) -> RunBegun:
-    """What a run is, as the first entry of its journal has it: all that another program needs to resume it."""
+    """The first entry of a run's journal: everything that another program needs to resume it."""
     simulation = options.simulation
     faults = simulation.faults if simulation is not None else None
     return RunBegun(

@@ -1,17 +1,15 @@
-"""What a run settles before its first job: after an outage no device is sure to be as it was left.
+"""What a run settles before its first job, as after an outage no device is sure to be as it was left.
 
-How far the sheet is rolled is known where the roller's servo has kept its turns (`devices/roller.py`); else a person
-says how wide the rim is, or mounts the sheet anew, before anything moves.
-
-The program may have ended alone, or with all the power: nobody knows which. So the balance's zero is not believed, nor
-that what stands on the pan is what stood there:
+See docs/run-behaviour.md, "What an outage may have done". Nobody knows whether only the program ended or all power was
+lost. So neither the balance's zero is trusted, nor that the same container still stands on the pan:
 
     held = (l - a) - (l0 - a0)
 
-a0, l0 the bare pan and the empty container before the outage; a, l the bare pan and the container after it, each pair
-by a zero of its own. What is held is believed where physics allows it: nothing comes back, and no more comes than the
-cone can have lost. Otherwise a person says; without one the container is given up, and its sample fails. Another
-container of its kind may weigh as if it held a part of the dose: where one was under way, a person says so or not.
+a0, l0 are the bare pan and the empty container before the outage; a, l the bare pan and the container after it. Each
+pair has its own zero. A mass that is physically possible is believed: nothing can have come back, and no more can have
+come than the cone may have lost. Otherwise a person decides; without one the container is given up, and its sample
+fails. If a dose was under way, a person is always asked: another container of its kind may weigh as if it held part of
+the dose.
 """
 
 from dataclasses import dataclass
@@ -29,7 +27,7 @@ from scuhand_bt.journal.writer import Journal
 
 
 def settle_roller(cell: Cell) -> Steps[None]:
-    """How wide the cone's rim is, if the roller does not know. SkillFailed operator.refused, operator.absent."""
+    """Ask for the rim's diameter if the roller does not know it. SkillFailed operator.refused, operator.absent."""
     hand = cell.hand
     rims_mm = {rim_in_words(rim_mm): rim_mm for rim_mm in hand.possible_rims_mm}
     asked = "The roller has lost its turns. How wide is the cone's rim?"
@@ -49,20 +47,20 @@ def settle_roller(cell: Cell) -> Steps[None]:
 
 
 def rim_in_words(rim_mm: float) -> str:
-    """As a person is offered it: what may be is whole turns of the roller apart, about a centimetre."""
+    """The rim as an answer to choose. Possible rims are whole turns of the roller apart, about a centimetre."""
     return f"{rim_mm:.0f} mm"
 
 
 def settle_arm(cell: Cell) -> Steps[None]:
-    """Off the pan, where a run before has left the arm: a container is changed before anything else moves it."""
+    """Move off the pan if an earlier run left the arm there, as a container may come before anything else moves it."""
     if cell.may_meet_a_container:
         yield from cell.move_to(cell.spec.station_of_kind("park").name)
 
 
 def settle_outage(journal: Journal, cell: Cell) -> Steps[None]:
-    """The container's weighings begun anew, if one was there; what a limp arm's cone may have lost.
+    """Weigh the container anew, if there was one; account for what a limp arm's cone may have lost.
 
-    SkillFailed operator.refused, operator.absent; and whatever moving the arm or weighing fails with.
+    Raises SkillFailed operator.refused, operator.absent, and whatever moving the arm or weighing fails with.
     """
     if (bracket := cell.believed.bracket) is not None:
         yield from _settle_container(journal, cell, bracket)
@@ -72,7 +70,7 @@ def settle_outage(journal: Journal, cell: Cell) -> Steps[None]:
 
 @dataclass(frozen=True)
 class _Found:
-    """What a container was found to hold, and what can be."""
+    """What a container was found to hold, and the range that is possible."""
 
     held: Net
     expected: Net
@@ -99,7 +97,7 @@ def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[N
     before, bare, loaded = yield from _weigh_about_the_bare_pan(cell)
     zero, after = weighing_of(bare), weighing_of(loaded)
     full = [standing(zero, after, digit_mg)]
-    if before.value_mg - bare.value_mg > CHANGED_MG:  # it was not on its way already
+    if before.value_mg - bare.value_mg > CHANGED_MG:  # the container was still on the pan
         full.append(standing(zero, weighing_of(before), digit_mg))
     empty = bracket.weighed_empty(digit_mg)
     found = _found(cell, held(empty, full), bracket)
@@ -123,12 +121,12 @@ def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[N
             counts=is_same,
         )
     )
-    if is_in_the_way and not cell.arm.was_limp:  # into what it had sunk it does not go back; what goes on brings it
+    if is_in_the_way and not cell.arm.was_limp:  # a limp arm has sunk; it must not go back to where it sank
         yield from cell.move_to(stood)
 
 
 def _weigh_about_the_bare_pan(cell: Cell) -> Steps[tuple[StableMean, StableMean, StableMean]]:
-    """What the pan shows, the pan bare, and the container on it again."""
+    """What the pan shows now, the bare pan, and the container on it again."""
     container = cell.believed.pan
     assert container is not None
     before = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
@@ -146,7 +144,7 @@ def _found(cell: Cell, now: Net, bracket: Bracket) -> _Found:
 
 
 def _is_the_same(cell: Cell, bracket: Bracket, found: _Found) -> Steps[bool]:
-    """A person says; without one, physics. What no powder explains is another container, or none."""
+    """Ask a person; without one, physics decides. What no powder can explain is another container, or none."""
     choices = ["another", "stop"]
     if found.is_possible:
         choices.insert(0, "same")

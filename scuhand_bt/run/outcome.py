@@ -1,4 +1,4 @@
-"""How a job, a sample, and a whole run came out."""
+"""The results of a job, a sample and a whole run."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,8 @@ from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Verdict
 
 CLOSING_SHARE = 0.5
-"""Of the tolerance: a bare pan that differs from what was dosed by more confirms nothing, whatever chance allows."""
+"""A bare pan that differs from what was dosed by more than this share of the tolerance confirms nothing, however
+likely that is by chance."""
 
 Interruption = Literal["stopped", "paused", "tripped"]
 
@@ -26,8 +27,8 @@ Interruption = Literal["stopped", "paused", "tripped"]
 class Outcome:
     """How a job's tree ended: `failure` is None if it succeeded.
 
-    `interrupted` says what halted the job before its end: a person's stop or pause, or a guard, whose reason
-    `failure` then is.
+    `interrupted` says what halted the job before its end: a person's stop or pause, or a guard. `failure` is then the
+    guard's reason.
     """
 
     failure: SkillFailed | None = None
@@ -47,7 +48,7 @@ class BatchResult:
 
 
 def inputs_for(sample: Sample, attempt: int) -> dict[str, Any]:
-    """The sample's inputs; a second attempt is for new containers, with ids that no sample can have."""
+    """The sample's inputs. A second attempt has new containers, with ids that no sample can have."""
 
     def fresh(value: Any) -> Any:
         if isinstance(value, tuple):
@@ -68,16 +69,15 @@ def sample_result(
     true_mg: Mapping[str, float],
     attempt: int,
 ) -> SampleResult:
-    """A sample's result from what its job has told; `verdict` where there is another than that of its doses.
+    """A sample's result from what its job has reported; `verdict` overrides that of its doses.
 
-    `true_mg` is what the simulation has in its containers, by their ids.
-
-    The last dose of a lot into a container counts for both, as doses add up. What the recipe asks for, its mass
-    within its tolerance, is held against the dose with that target, into the sample's container.
+    `true_mg` is what the simulation has in its containers, by their ids. The last dose of a lot into a container
+    counts for both, as a dose includes the earlier ones. What the recipe asks for (a mass within a tolerance) is
+    compared with the dose of that target into the sample's container.
     """
     sample = replace(sample, inputs=inputs_for(sample, attempt))
     last = list({(dose.container, dose.lot): dose for dose in so_far.doses}.values())
-    cost = {dose.container: dose for dose in so_far.doses}.values()  # a dose counts all that came before into its own
+    cost = {dose.container: dose for dose in so_far.doses}.values()  # pulses of a dose include earlier ones there
     found = tuple(_dose_result(dose, sample, true_mg.get(dose.container)) for dose in last)
     asked = {number: ask for number, dose in enumerate(found) if (ask := _asked(dose, sample)) is not None}
     number = max(asked, default=len(found) - 1)
@@ -113,7 +113,7 @@ def sample_result(
 
 
 def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
-    """The result after one of its containers has gone: adjusted to the bare pan's word, and flagged if that differs."""
+    """The result after one of its containers has left: adjusted to the bare pan, or flagged if that disagrees."""
     doses = tuple(confirmed_dose(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
     changes: dict[str, Any] = {"doses": doses}
     told = {dose.lot for dose in doses if dose.container == closed.container}
@@ -143,7 +143,7 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
 
 
 def doubted(result: SampleResult, stepped_mg: float, drift_mg_per_s: float) -> SampleResult:
-    """The result after the run has seen the balance's zero step by so much, or drift so fast, in whichever dose."""
+    """The result after the balance's zero was seen to step or drift in any dose of the run."""
     doses = tuple(_doubted(dose, unseen_mg(stepped_mg, drift_mg_per_s, dose.lasted_s)) for dose in result.doses)
     if doses == result.doses:
         return result
@@ -162,7 +162,7 @@ def doubted(result: SampleResult, stepped_mg: float, drift_mg_per_s: float) -> S
 
 
 def _reckoned(result: SampleResult) -> SampleResult:
-    """The result with the composition that its doses come to."""
+    """The result with the composition that its doses make."""
     composition = result.composition
     if composition is None:
         return result
@@ -183,12 +183,12 @@ def _doubted(dose: DoseResult, zero_mg: float) -> DoseResult:
 
 
 def _main(result: SampleResult, doses: Sequence[DoseResult]) -> DoseResult | None:
-    """The dose that the result stands by, as it is among `doses`."""
+    """The dose that the result reports, as it is among `doses`."""
     return next((dose for dose, had in zip(doses, result.doses, strict=True) if _is_main(had, result)), None)
 
 
 def _asked(dose: Dose | DoseResult, sample: Sample) -> Ask | None:
-    """What of what a sample asks for a dose was to be."""
+    """What the sample asks for that this dose was meant to fulfil, if anything."""
     return sample.ask_for(dose.target_mg, dose.lot) if sample.is_dosed_into(dose.container) else None
 
 
@@ -199,7 +199,7 @@ def _is_main(dose: DoseResult, result: SampleResult) -> bool:
 def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResult:
     tolerance_mg = dose.tolerance_mg
     if (ask := _asked(dose, sample)) is not None and ask.tolerance_mg is not None:
-        tolerance_mg = min(tolerance_mg, ask.tolerance_mg)  # the recipe's word, whatever the workflow made of it
+        tolerance_mg = min(tolerance_mg, ask.tolerance_mg)  # a workflow cannot widen the recipe's tolerance
     return DoseResult(
         container=dose.container,
         lot=dose.lot,
@@ -215,9 +215,10 @@ def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResul
 
 
 def confirmed_dose(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
-    """A dose after its container has gone: adjusted to the bare pan's word, where the two agree.
+    """A dose after its container has left the pan: adjusted to the bare pan, where the two agree.
 
-    A container that has gone more than once has to be believed each time; before one of its lots came it tells nothing.
+    A container that has left more than once must agree each time. A departure before one of its lots came tells
+    nothing about that lot.
     """
     if dose.bracket == "does not close" or (closed.doses and dose.lot not in closed.doses):
         return dose
@@ -237,7 +238,7 @@ def confirmed_dose(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
 def _verdict(
     doses: Sequence[DoseResult], asked: Sequence[DoseResult], *, is_asked: bool, has_recorded: bool = False
 ) -> SampleVerdict:
-    """The worst of its doses; a sample that was to be dosed and was dosed otherwise is not as asked."""
+    """The worst of its doses; "not as asked" if something was dosed, but not what the sample asks for."""
     if not doses and has_recorded and is_asked:
         return "recorded"
     if not doses:

@@ -1,7 +1,7 @@
-"""The files of one's own modules that a run depends on: a plant's, and what a lab's skills and drivers are made of.
+"""Finds the source files that a run depends on besides lab and scuhand_bt: modules of plants, skills and drivers.
 
-They are found by reading imports, and nothing is run: a package that no skill has come to may do anything as it is
-imported. What is installed beside (numpy, scuhand_bt itself) is not among them, nor is data that a module reads.
+They are found by parsing imports; nothing is executed, as importing a package may do anything. Installed packages
+(numpy, scuhand_bt itself) do not count, nor does data that a module reads.
 """
 
 import ast
@@ -21,21 +21,21 @@ from scuhand_bt.lab import CELL_FILE, files_of
 from scuhand_bt.skill_files.load import PACKAGE
 
 _KNOWN = {*sys.stdlib_module_names, "scuhand_bt"}
-"""What is Python's own, or this program."""
+"""Python's own modules, and this program."""
 _INSTALLED = {"site-packages", "dist-packages"}
-"""What is installed stands in these: the environment's own, the system's, the user's, or those of ROS."""
+"""Folders of installed packages: the environment's, the system's, the user's or those of ROS."""
 
 
 def plant_files(plant: str) -> dict[str, Path]:
-    """The files of a plant (`module:Class`), by their modules' names; nothing where its module is not found."""
+    """The files of a plant (`module:Class`), by their modules' names; empty if its module is not found."""
     module = plant.partition(":")[0]
     found = _reached([module])
     return found if module in found else {}
 
 
 def lab_modules(lab: Path) -> dict[str, Path]:
-    """Those that a lab's skills import and its cell's drivers are in, beside the lab's own folder of skills."""
-    lab = lab.absolute()  # as the files of modules are, wherever the lab was named from
+    """The modules that a lab's skills import and its drivers are in, except those in the lab's own `skills/`."""
+    lab = lab.absolute()  # as the modules' paths are
     cell = (lab / CELL_FILE).read_text(encoding="utf-8", errors="replace")
     drivers = [found[1].partition(":")[0] for found in re.finditer(rf"driver:\s*[\"']?({PLUGGED.pattern})", cell)]
     skills = [f"{PACKAGE}.skills.{path.stem}" for path in files_of(lab / "skills", "*.py")]
@@ -44,7 +44,7 @@ def lab_modules(lab: Path) -> dict[str, Path]:
 
 
 def digests(files: Mapping[str, Path]) -> dict[str, str]:
-    """SHA-256 of each of these; "" for one that cannot be read, of which its import says so if it is needed."""
+    """SHA-256 of each file; "" for one that cannot be read, which its import reports if it is needed."""
     found = dict.fromkeys(files, "")
     for name, path in files.items():
         with suppress(OSError):
@@ -53,7 +53,7 @@ def digests(files: Mapping[str, Path]) -> dict[str, str]:
 
 
 def _reached(modules: Collection[str], lab: Path | None = None) -> dict[str, Path]:
-    """The files of these modules, and of all one's own that they import."""
+    """The files of these modules, and of all own modules that they import."""
     own = {module.partition(".")[0] for module in modules}
     found, waiting = dict[str, Path](), [name for module in modules for name in _with_packages(module)]
     while waiting:
@@ -71,7 +71,7 @@ def _reached(modules: Collection[str], lab: Path | None = None) -> dict[str, Pat
 
 
 def _with_packages(module: str) -> Iterator[str]:
-    """A module's name, and those of the packages around it: their files are run, too."""
+    """A module's name, and those of the packages around it, whose files are executed too."""
     parts = module.split(".")
     for many in range(1, len(parts) + 1):
         yield ".".join(parts[:many])
@@ -83,7 +83,7 @@ def _spec(name: str, lab: Path | None) -> ModuleSpec | None:
         if package != PACKAGE or lab is None:
             within = _spec(name.rpartition(".")[0], lab) if parts else None
             return _within(name, within) if within is not None else None if parts else find_spec(name)
-        folder = lab.joinpath(*parts)  # whichever lab this process has under that name
+        folder = lab.joinpath(*parts)  # not the lab that this process may have loaded under that name
         for file, folders in ((folder / "__init__.py", [str(folder)]), (folder.with_suffix(".py"), None)):
             if file.is_file():
                 return spec_from_file_location(name, file, submodule_search_locations=folders)
@@ -91,8 +91,8 @@ def _spec(name: str, lab: Path | None) -> ModuleSpec | None:
 
 
 def _within(name: str, package: ModuleSpec) -> ModuleSpec | None:
-    """As `find_spec`, which would run the package to look for what is in it."""
-    folders = list[str]()  # of a package that stands in several, and has no file
+    """As `find_spec`, which would execute the package to look for what is in it."""
+    folders = list[str]()  # of a namespace package
     for folder in package.submodule_search_locations or ():
         finder = get_importer(folder)
         spec = finder.find_spec(name) if finder is not None else None
@@ -109,7 +109,7 @@ def _is_installed(file: str) -> bool:
 
 
 def _imported(file: Path, spec: ModuleSpec) -> Iterator[str]:
-    """The modules that a module's file may import, by what stands in it; of `from a import b` also `a.b`."""
+    """The modules that a module's file may import, by its text; `from a import b` also names `a.b`."""
     with suppress(SyntaxError, ValueError, ImportError, OSError):
         for level, module, names in _imports_in(file.read_bytes()):
             if not names:
@@ -120,9 +120,9 @@ def _imported(file: Path, spec: ModuleSpec) -> Iterator[str]:
             yield from (f"{module}.{name}" for name in names)
 
 
-@lru_cache(maxsize=256)  # every run of a process asks for the same skills
+@lru_cache(maxsize=256)  # all runs of a process have the same skills
 def _imports_in(source: bytes) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
-    """Its `from` imports, as level, module and names, and its others, which have no names."""
+    """The imports in a source: level, module, and the imported names (none for a plain `import`)."""
     found = list[tuple[int, str, tuple[str, ...]]]()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):

@@ -15,16 +15,18 @@ from scuhand_bt.specs import ContainerKind
 
 
 def plans_folder() -> Path:
-    """The user's own, for all labs: plans of the arm's, so that the next run in the same geometry searches for none."""
+    """The user's cache of motion plans, shared by all labs, so that the next run in the same geometry need not
+    search.
+    """
     return user_cache_path("scuhand_bt") / "plans"
 
 
 def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPlanner:
     """The motion planner with all ways between the plan's places planned and polished.
 
-    `for_real`: also those past each container, and all others that the plan will take (`run/ways.py`). A dry run
-    plans them when they are needed; what lies in no mortar so that a scoop brings any is refused for it, too.
-    SkillFailed arm.* for what is not possible.
+    `for_real`: also the ways past each container, and all others that the plan will take (`run/ways.py`). A dry run
+    plans these when they are needed. Both refuse a mortar from which no scoop would bring anything. Raises SkillFailed
+    arm.* for what is not possible.
     """
     motion = motion_of(plan, lab)
     if for_real:

@@ -1,6 +1,6 @@
-"""The question to a person that waits now, and its answer, from wherever it comes: the first one counts.
+"""The question that a run waits with, and its answer, from wherever it comes: the first one counts.
 
-A question has a number, so that an answer to one is never taken for an answer to the next.
+Questions are numbered, so that an answer to one is never taken for an answer to the next.
 """
 
 import threading
@@ -28,14 +28,14 @@ MEANINGS: Mapping[str, str] = {
     "emptied": "nothing of what was in the vessel is in it",
     "filled": "every slot of the changer holds a container again",
 }
-"""What an answer says, and what then happens; a lab's skill may offer others, which its question explains."""
+"""What an answer says, and what then happens. A lab's skill may offer others, which its question must explain."""
 ANSWERED = "it was answered already"
 ANOTHER = "it is not the question that waits now"
 
 
 @dataclass(frozen=True)
 class Who:
-    """Who said something to a run; None where that is not known. `signed`: and has proven it by a PIN."""
+    """Who said something to a run; None if unknown. `signed`: proven by a PIN."""
 
     name: str | None = None
     signed: bool = False
@@ -53,11 +53,11 @@ class Question:
     text: str
     choices: tuple[str, ...]
     at: str
-    """Since when, ISO 8601 with its offset from UTC."""
+    """Since when it waits, ISO 8601 with its offset from UTC."""
 
     @property
     def meanings(self) -> dict[str, str]:
-        """What each choice says; empty for one of a lab's skill, which the question explains."""
+        """What each choice means; "" for one that a lab's skill has made up."""
         return {choice: MEANINGS.get(choice, "") for choice in self.choices}
 
 
@@ -70,7 +70,7 @@ class Given:
 
 
 class Questions:
-    """The questions of one run, one at a time; safe to use from any thread.
+    """The questions of one run, one at a time. Safe to use from any thread.
 
     `news` fires when something was said, and when the next question may be asked.
     """
@@ -89,7 +89,7 @@ class Questions:
         return self._asked if self._given is None else None
 
     def ask(self, text: str, choices: Sequence[str]) -> Question | None:
-        """Let a question wait; None while another one does, whose answer is not for this one."""
+        """Ask a question; None while another one waits."""
         with self._lock:
             if self._asked is not None:
                 return None
@@ -98,7 +98,7 @@ class Questions:
             return self._asked
 
     def give(self, number: int, answer: str, who: Who) -> str | None:
-        """Answer the question of this number; why that does not count, or None where it does."""
+        """Answer the question with this number. Returns why the answer does not count, or None if it does."""
         with self._lock:
             if (why := self.why_not(number, answer)) is not None:
                 return why
@@ -107,7 +107,7 @@ class Questions:
         return None
 
     def why_not(self, number: int, answer: str) -> str | None:
-        """Why this answer to the question of this number would not count now; None where it would."""
+        """Why this answer to the question with this number would not count now; None if it would."""
         if (asked := self._asked) is None or asked.number != number:
             return ANOTHER
         if self._given is not None:
@@ -115,28 +115,28 @@ class Questions:
         return None if answer in asked.choices else f"it is answered with one of: {', '.join(asked.choices)}"
 
     def given(self) -> Given | None:
-        """The answer to the question that waited last."""
+        """The answer to the last question."""
         return self._given
 
     def note(self, what: str) -> None:
-        """Something went wrong in answering, that the journal is to know."""
+        """Note something that went wrong in answering, for the journal."""
         with self._lock:
             self._notes.append(what)
         self.news.fire()
 
     def take_notes(self) -> list[str]:
-        """What was noted since the last time."""
+        """The notes since the last call."""
         with self._lock:
             notes, self._notes = self._notes, []
         return notes
 
     def withdraw(self) -> None:
-        """No question waits any more."""
+        """Let no question wait any more."""
         with self._lock:
             self._asked = None
         self.news.fire()
 
 
 def wrong_pin(name: str, answer: str, question: str) -> str:
-    """What the journal has of a wrong PIN."""
+    """What the journal says about a wrong PIN."""
     return f"a wrong PIN was given for {name}, to answer '{answer}': {question}"

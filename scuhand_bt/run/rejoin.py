@@ -1,4 +1,4 @@
-"""Taking up a job where it was interrupted: the arm back where it was, the pan compared, the open action settled."""
+"""Resumes a job where it was interrupted: moves the arm back, compares the pan, and settles the open action."""
 
 from typing import Any
 
@@ -17,9 +17,9 @@ from scuhand_bt.tree.leaf import REJOINING
 from scuhand_bt.tree.replay import Recorded, Replay
 
 MOVED_RAD = 0.02
-"""A joint that is farther than this from where it was has been moved."""
+"""A joint farther than this from its recorded position has been moved."""
 DRIFT_DIGITS = 10.0
-"""The balance's zero may have wandered this far while nobody looked; more is asked about."""
+"""How far the balance's zero may have drifted meanwhile, in its digits; a larger difference is asked about."""
 
 
 def rejoin(
@@ -32,7 +32,7 @@ def rejoin(
     *,
     is_same: bool,
 ) -> Steps[bool]:
-    """What `tree.leaf.Rejoin` asks for. SkillFailed operator.refused where the operator stops the run."""
+    """What `tree.leaf.Rejoin` asks for. Raises SkillFailed operator.refused if the operator stops the run."""
     if replay.is_to_rejoin:
         replay.is_to_rejoin = False
         yield from _return(journal, cell, replay, skill, was_interrupted=recorded is not None)
@@ -42,9 +42,9 @@ def rejoin(
 
 
 def _return(journal: Journal, cell: Cell, replay: Replay, skill: Skill[Any], *, was_interrupted: bool) -> Steps[None]:
-    """The arm back where it was, if this skill would not move it; the pan compared."""
+    """Move the arm back to where it was, unless this skill moves it; then compare the pan."""
     there = replay.joints_rad
-    if there is not None and "arm" not in {*skill.devices, *replay.at_work}:  # what had the arm settles it itself
+    if there is not None and "arm" not in {*skill.devices, *replay.at_work}:  # the action that had the arm moves it
         moved_rad = float(np.abs(np.array(there) - cell.arm.positions).max())
         if moved_rad > MOVED_RAD:
             journal.event(ArmMoved(moved_rad=moved_rad))
@@ -56,9 +56,9 @@ def _return(journal: Journal, cell: Cell, replay: Replay, skill: Skill[Any], *, 
 
 
 def _settle(journal: Journal, cell: Cell, skill: Skill[Any], name: str, changed_from: Recorded | None) -> Steps[str]:
-    """Settle an action that had begun and not ended: "again", or "done" where the operator says so.
+    """Settle an action that had begun and not ended: "again", or "done" if the operator says so.
 
-    `changed_from` is what stood in its place, if the workflow or the recipe has changed since.
+    `changed_from` is what is recorded in its place, if the workflow or recipe has changed since.
     """
     if changed_from is None and skill.interrupted != "ask":
         journal.event(Settled(skill=name, by=skill.interrupted))
@@ -77,7 +77,7 @@ def _settle(journal: Journal, cell: Cell, skill: Skill[Any], name: str, changed_
 
 
 def _compare_pan(journal: Journal, cell: Cell, gross_mg: float) -> Steps[None]:
-    """Nothing can have been dosed since the pan was weighed: what it shows otherwise is the balance's zero."""
+    """Compare the pan with its last weighing. Nothing was dosed since, so a difference is the balance's zero."""
     mean = yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
     drift_mg = mean.value_mg - gross_mg
     journal.event(PanCompared(**dict(mean.written()), before_mg=gross_mg))

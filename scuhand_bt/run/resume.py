@@ -1,4 +1,4 @@
-"""Finding an interrupted run, and whether it may be resumed: that nothing was altered, or changed unnoticed."""
+"""Finds an interrupted run, and decides whether it may be resumed: nothing altered, and no unnoticed changes."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -31,11 +31,11 @@ class Resumable:
     history: History
     changes: tuple[str, ...]
     presence: Presence | None = None
-    """The hold on it that whoever resumes it has had since before the history was read; None: yet to be taken."""
+    """The lock that whoever resumes it has held since before the history was read; None if yet to be taken."""
 
 
 def world_path(journal: Path) -> Path:
-    """Where the simulated world of a dry run lives, beside its journal."""
+    """The file of a dry run's simulated world, beside its journal."""
     return journal.with_suffix(".world")
 
 
@@ -56,7 +56,7 @@ def find_run(folder: Path, name: str) -> Path:
 
 
 def _written_s(path: Path) -> float:
-    """When a journal was last written to: while its run goes on, that is the log beside it."""
+    """When a journal was last written to; while its run goes on, that shows only in SQLite's log beside it."""
     written_s = path.stat().st_mtime
     with suppress(FileNotFoundError):
         written_s = max(written_s, path.with_name(f"{path.name}-wal").stat().st_mtime)
@@ -64,7 +64,7 @@ def _written_s(path: Path) -> float:
 
 
 def checked_history(path: Path) -> History:
-    """The history of a run whose chain is whole and that has something left to do. Raises SourceError if not."""
+    """The history of a run whose hash chain is whole and that has something left to do. Raises SourceError if not."""
     with open_verified(path) as (database, version, verified):
         if version < SCHEMA_VERSION:
             what = "an older scuhand-bt wrote it, which noted less than resuming needs"
@@ -84,7 +84,7 @@ def checked_history(path: Path) -> History:
 
 
 def _left_of_complete(history: History) -> str:
-    """What a run that has come to its end has not made good, and how that is done all the same."""
+    """What a complete run left undone, and how to do that."""
     bad = [one for one in history.told.values() if not one.is_good]
     if not bad:
         return "nothing is left to do"
@@ -93,9 +93,9 @@ def _left_of_complete(history: History) -> str:
 
 
 def its_places(path: Path, run: RunBegun) -> tuple[Path, Path]:
-    """Where a run's recipe and its lab are now: a lab may have been moved, with all that is in it."""
+    """Where a run's recipe and lab are now: a lab may have been moved as a whole."""
     recipe, lab, here = Path(run.recipe_path), Path(run.lab), path.absolute().parent.parent.parent
-    if not is_lab(here):  # its runs are kept elsewhere
+    if not is_lab(here):  # its journal is kept outside the lab
         return recipe, lab
     return (here / recipe.relative_to(lab) if recipe.is_relative_to(lab) else recipe), here
 
@@ -109,11 +109,13 @@ def resumable(
     accept_changes: bool,
     presence: Presence | None = None,
 ) -> Resumable:
-    """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError.
+    """The run, if recipe, lab and program are unchanged or the changes are accepted; else raises SourceError.
 
-    No acceptance lets another job come before what has begun: it would take the pan and the cone from under it. Nor one
-    that divides the changer's slots otherwise: which containers have been used is known by them. Nor another powder in
-    a source: what is in the cone, and what was learnt of it, is known by the source's name.
+    Some changes cannot be accepted (docs/run-behaviour.md, "What is refused"):
+
+    * a job before one that has begun, which would change what is on the pan and in the cone;
+    * other slots of the changer, by which used containers are known;
+    * another powder in a source, by whose name the cone's content and what was learnt are known.
     """
     if overtaken := (*_overtaken(history, plan, lab), *_other_slots(history, lab), *_other_sources(history, plan)):
         raise SourceError([Problem(Mark(str(path)), what) for what in overtaken])
@@ -125,7 +127,7 @@ def resumable(
 
 
 def lab_files(lab: Path) -> dict[str, str]:
-    """SHA-256 of everything in a lab's folder that a run depends on, beside its recipe."""
+    """SHA-256 of every file in a lab's folder that a run depends on, besides its recipe."""
     files: dict[str, str] = {}
     for folder in LAB_FOLDERS:
         for path in files_of(lab / folder, "**/*"):
@@ -150,7 +152,7 @@ def _overtaken(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
 
 
 def _unplanned(sample: Sample, plan: Plan, lab: Lab) -> list[Job]:
-    """What may be done before or after a sample without being a job of the plan's, as one has failed."""
+    """Jobs that may precede or follow a sample without being in the plan, because one has failed."""
     return [*recoveries(sample), *sheet_changes(sample, plan.recipe, lab.library, lab.cell)]
 
 
@@ -169,7 +171,7 @@ def _other_sources(history: History, plan: Plan) -> Iterator[str]:
         if now is None:
             continue
         before = f"{was.powder}/{was.lot}" if was.lot else was.powder
-        mortar = was.mortar or now.mortar.name  # which older journals do not name
+        mortar = was.mortar or now.mortar.name  # older journals do not name it
         if (before, mortar) != (now.sheet_key, now.mortar.name):
             there = f"{before} in '{mortar}' when this run began, and is {now.sheet_key} in '{now.mortar.name}' now"
             yield f"source '{name}' was {there}; put it back in the recipe, or begin the rest as a new run"

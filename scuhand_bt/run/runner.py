@@ -1,4 +1,4 @@
-"""The runner: ticks one job's tree, and moves the clock to the earliest thing the tree waits for."""
+"""The runner: ticks one job's tree, and advances the clock to the earliest thing that the tree waits for."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -32,21 +32,22 @@ from scuhand_bt.tree.replay import Decision, Replay
 from scuhand_bt.tree.substitutes import Substitutes
 
 SAFE_TIMEOUT_S = 20.0
-"""How long the cell may take to stand still once it is told to: a carousel's swing takes 2 s, an arm's stop 1 s."""
+"""How long the cell may take to stand still after it is told to [s]: a carousel's swing takes 2 s, an arm's stop 1 s.
+"""
 UNREACHED_S = 2.0
-"""The same for a device that cannot be told, nor tell that it stands: its own watchdog has long done it by then."""
+"""The same for a device that cannot be reached: its own watchdog has stopped it long before."""
 UNREACHED = frozenset({Code.DEVICE_LOST, Code.ARM_LIMP, Code.HAND_VALVE_LOST})
 FALL_S = 0.5
-"""After everything stands still, what was falling has landed."""
+"""When everything stands still, wait this long for falling powder to land [s]."""
 MAX_SILENCE_S = 3600.0
-"""If nothing at all happens for this long, a skill waits for what never comes."""
+"""If nothing at all happens for this long [s], a skill waits for something that never comes."""
 MAX_TICKS_AT_ONE_TIME = 10_000
 
 T = TypeVar("T")
 
 
 class TickObserver(Protocol):
-    """Is shown each job's tree, and its root after every tick, and told of pauses; must be quick."""
+    """Is shown each job's tree, and its root after every tick, and told of pauses. Must be quick."""
 
     def tree_made(self, tree: Tree) -> None: ...
 
@@ -58,7 +59,7 @@ class TickObserver(Protocol):
 
 
 class Runner:
-    """Runs jobs on a cell, one tree alive at a time, as long as `control` and the guards let it."""
+    """Runs jobs on a cell, one tree at a time, as long as `control` and the guards permit."""
 
     def __init__(
         self,
@@ -80,12 +81,12 @@ class Runner:
         self._guards = guards
         self._substitutes, self._consent = substitutes, consent
         self._drawn: set[str] = set()
-        """The workflows whose tree the journal has."""
+        """The workflows whose tree is in the journal."""
 
     def run(self, job: Job, inputs: Mapping[str, Any], replay: Replay) -> Outcome:
-        """Run one job to its end, from where `replay` leaves it. Any exception leaves the tree halted.
+        """Run one job to its end, from where `replay` leaves it. After any exception the tree is halted.
 
-        After an interruption `make_safe` is the caller's to call.
+        After an interruption the caller must call `make_safe`.
         """
         recorder, rejoins = _Recorder(self._journal), partial(rejoin, self._journal)
         shared = Ticking(self._cell, self._leases, recorder, replay, rejoins, self._substitutes, self._consent)
@@ -110,14 +111,14 @@ class Runner:
             return interrupted
         if moving := self._still_moving():
             self.make_safe()
-            # Whatever the recipe says of failures: nothing goes on beside a device that does not stop.
+            # Not subject to `on_failure`: nothing may go on beside a device that does not stop.
             busy = SkillFailed(Code.DEVICE_BUSY, f"{moving} moved on for {SAFE_TIMEOUT_S:g} s after the job")
             return Outcome(self._guards.look() or busy, "tripped")
         return Outcome(None if tree.root.status is Status.SUCCESS else failure_of(tree.root))
 
     def make_safe(self) -> bool:
-        """Valve closed, vibration off, arm stopped: tell every device, then wait. False if one did not stop."""
-        with ExitStack() as stopping:  # one that cannot be told does not keep the others from it
+        """Close the valve, end vibration, stop the arm: tell every device, then wait. False if one did not stop."""
+        with ExitStack() as stopping:  # if telling one fails, the others are told all the same
             for device in self._cell.every_device.values():
                 stopping.callback(device.stop)
         is_still = not self._still_moving()
@@ -125,9 +126,9 @@ class Runner:
         return is_still
 
     def ask(self, steps: Steps[T]) -> T | None:
-        """Drive a question to the person at the cell, between jobs; None if the run is to end before the answer.
+        """Ask the person at the cell something between jobs; None if the run is to end before the answer.
 
-        The guards go on: what trips one is raised.
+        The guards keep watching; a fault is raised.
         """
         try:
             while True:
@@ -143,7 +144,7 @@ class Runner:
         return None
 
     def hold(self) -> SkillFailed | None:
-        """Stand still until a person continues or stops the run; what a guard found meanwhile, if one tripped."""
+        """Stand still until a person continues or stops the run; returns a guard's fault if one trips meanwhile."""
         by = self._control.paused_by
         self._journal.event(Paused(by=by.name, signed=by.signed))
         self._observer.paused()
@@ -160,14 +161,14 @@ class Runner:
         return None
 
     def settle(self) -> None:
-        """Let time pass until all that has happened is on disk. Raises RecordLost where it will not be."""
+        """Let time pass until everything that has happened is on disk. Raises RecordLost if it cannot be."""
         self._journal.commit()
         while (writing := self._journal.waits()) is not None:
             self._cell.clock.wait([writing])
             self._journal.keep_up()
 
     def _wish(self) -> Wake:
-        """The next wish; made before looking at what is wished, so that none falls between."""
+        """A wake for the next wish. Made before the current wish is read, so that none is missed."""
         return Wake.on(self._control.news)
 
     def _tick_to_end(self, root: Behaviour, shared: Ticking) -> Outcome | None:
@@ -182,7 +183,7 @@ class Runner:
                 return Outcome(fault, "tripped")
             shared.is_pausing = control.is_pausing
             root.tick_once()
-            self._journal.commit()  # who is shown the tick may read it
+            self._journal.commit()  # observers may read it
             self._observer.ticked(root)
             if root.status is not Status.RUNNING:
                 return None
@@ -197,7 +198,7 @@ class Runner:
             if shared.is_pausing and not shared.acting:
                 if (fault := self.hold()) is not None:
                     return Outcome(fault, "tripped")
-                if control.is_stopping:  # what was paused is not set in motion again to be stopped
+                if control.is_stopping:  # a paused job is not continued only to be stopped
                     return Outcome(interrupted="stopped")
                 shared.going_on.fire()
                 continue
@@ -205,7 +206,7 @@ class Runner:
                 return Outcome(fault, "tripped")
 
     def _wait(self, root: Behaviour, shared: Ticking, wish: Wake) -> SkillFailed | None:
-        """Wait for the next tick; what a guard found in the meantime, if one tripped."""
+        """Wait for the next tick; returns a guard's fault if one trips meanwhile."""
         clock, control = self._cell.clock, self._control
         wakes = [*shared.wakes(), wish]
         silence = Wake(clock.now_s + MAX_SILENCE_S)
@@ -222,16 +223,16 @@ class Runner:
                 raise SkillBug(f"{_running(root)} waits for something that never comes")
 
     def _watched(self) -> list[Wake]:
-        """What is looked at whatever the tree waits for."""
+        """What is watched, whatever the tree waits for."""
         return [*self._guards.wakes(), Wake.on(self._journal.news)]
 
     def _look(self) -> SkillFailed | None:
-        """What a guard found. Raises RecordLost where the journal takes no more."""
+        """A guard's fault, if any. Raises RecordLost if the journal can no longer be written."""
         self._journal.keep_up()
         return self._guards.look()
 
     def _still_moving(self) -> str:
-        """Wait for all devices to stop; the names of those that have not in time, "" if all have."""
+        """Wait for all devices to stop; returns the names of those that have not in time, "" if all have."""
         clock, devices = self._cell.clock, self._cell.every_device
         began_s = clock.now_s
         while moving := {name: device for name, device in devices.items() if not device.is_stopped}:
@@ -244,7 +245,7 @@ class Runner:
 
 
 def _drawn(root: Behaviour, depth: int = 0) -> Iterator[TreeNode]:
-    """A tree's nodes, each below the one that it belongs to."""
+    """A tree's nodes, depth-first."""
     path = root.path if isinstance(root, SkillLeaf | Timeout | While | Retry | Repeat | ForEach) else ""
     yield TreeNode(depth=depth, name=root.name, path=path)
     for child in root.children:
@@ -294,6 +295,6 @@ class _Recorder:
 
 
 def _running(root: Behaviour) -> str:
-    """The leaves that are running, by name."""
+    """The names of the running leaves."""
     names = [node.name for node in root.iterate() if isinstance(node, SkillLeaf) and node.status is Status.RUNNING]
     return "the skill " + (" and ".join(names) or "at work")

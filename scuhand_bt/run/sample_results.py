@@ -1,4 +1,4 @@
-"""The results of a batch's samples: as each has ended, and as the bare pan tells later."""
+"""The results of a batch's samples: first as each ends, later corrected by the bare pan."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +16,7 @@ from scuhand_bt.skill import SkillFailed
 
 
 class SampleResults:
-    """The last result of each sample, by its id. `true_mass_mg` judges a simulated dose."""
+    """The latest result of each sample, by its id. `true_mass_mg` gives the true mass of a simulated dose."""
 
     def __init__(
         self,
@@ -32,13 +32,13 @@ class SampleResults:
         self._observer = observer
         self._true_mass_mg = true_mass_mg
         self._undoubted: list[str] = []
-        """The samples whose results have come or changed since all were doubted last."""
+        """The samples whose results are new or changed since the last time that all were doubted."""
         self._doubted_of = (0.0, 0.0)
-        """How large a step, and how fast a drift, of the balance's zero they were doubted of then."""
+        """The step [mg] and drift [mg/s] of the balance's zero that were used then."""
         self._owners = {
             container.id: sample.id for sample in plan.recipe.samples for container in sample.all_containers
         }
-        """The samples of all containers, by the ids that these have in a first attempt."""
+        """The sample of each container, by the id that this has in a first attempt."""
 
     def result_of(
         self,
@@ -49,7 +49,7 @@ class SampleResults:
         began_s: float,
         attempt: int,
     ) -> SampleResult:
-        """What an attempt at a sample has come to, by what the journal has of it so far."""
+        """The result of an attempt at a sample, by what the journal has of it so far."""
         containers = replace(sample, inputs=inputs_for(sample, attempt)).all_containers
         was_run = verdict != "not run"
         true_mg = {}
@@ -70,10 +70,10 @@ class SampleResults:
         )
 
     def note_brackets(self, waiting: tuple[str, int] | None = None) -> None:
-        """Say of each sample whose container has gone what it came to by the bare pan, and of all what that tells.
+        """Correct results by bare pans: of samples whose containers have left, and of all by what the zero has shown.
 
-        One that has gone within the attempt at its own sample that is `waiting` for its result still waits too. What
-        was dosed into a container by another job than its sample's is no sample's dose.
+        A container that left within the attempt that is `waiting` for its result has to wait too. What another job
+        than its sample's dosed into a container is no sample's dose.
         """
         believed = self._cell.believed
         on_pan = believed.bracket.container if believed.bracket is not None else None
@@ -83,7 +83,7 @@ class SampleResults:
             owner, attempt = self._owners.get(name), int(number or 1)
             result = self.by_id.get(owner) if owner is not None else None
             if closed.closes and closed.container == on_pan:
-                believed.noted(closed)  # it has come again, and what it holds is told when it goes
+                believed.noted(closed)  # it has come again, and is judged when it leaves
                 continue
             if owner is not None and ((owner, attempt) == waiting or result is None):
                 continue
@@ -92,7 +92,7 @@ class SampleResults:
                 self.by_id[result.id] = confirmed(result, closed)
             believed.noted(closed)
         seen = believed.zero_stepped_mg, believed.drift_mg_per_s
-        # Not all each time: a run of many samples comes here after each.
+        # Not all every time, as this runs after each of many samples.
         fresh = (*noted, *self._undoubted) if seen == self._doubted_of else self.by_id
         for name in dict.fromkeys(fresh):
             before = self.by_id[name]
@@ -102,7 +102,7 @@ class SampleResults:
         self._undoubted, self._doubted_of = [], seen
 
     def note_open_brackets(self) -> None:
-        """Flag every dose whose container was not seen to go."""
+        """Flag every dose whose container was not seen to leave the pan."""
         for result in list(self.by_id.values()):
             if result.code is None and any(dose.bracket == "open" for dose in result.doses):
                 what = (
@@ -111,19 +111,19 @@ class SampleResults:
                 self.note(result.model_copy(update={"code": Code.BALANCE_BRACKET_OPEN, "detail": what}))
 
     def note(self, result: SampleResult) -> None:
-        """A sample has this result from now on: it is written, and told."""
+        """Set a sample's result: write it, and tell the observer."""
         self._journal.event(result)
         self.take(result)
         self._observer.sample_ended(result)
 
     def take(self, result: SampleResult) -> None:
-        """A sample has this result from now on, which is in the journal already."""
+        """Set a sample's result that is already in the journal."""
         self.by_id[result.id] = result
         self._undoubted.append(result.id)
 
 
 def _broke_off(failure: SkillFailed | None, seen_mg: float) -> SkillFailed:
-    """The failure of a sample of which a dose broke off: no row tells what that has brought, and it is not good."""
+    """The failure of a sample with a dose that broke off unweighed: it has no row in the results, and is not good."""
     seen = f"; by the balance's last reading it had brought {seen_mg:.0f} mg" if seen_mg > 0.0 else ""
     what = f"a dose broke off, and was not weighed{seen}"
     if failure is None:
@@ -132,9 +132,9 @@ def _broke_off(failure: SkillFailed | None, seen_mg: float) -> SkillFailed:
 
 
 def _tells_of(closed: ClosedBracket, result: SampleResult) -> bool:
-    """Whether something came into the container, whether a dose of its sample tells of it or not.
+    """Whether something came into the container, even if no dose of its sample says so.
 
-    Of one that was thrown away only what its sample still tells of counts.
+    For a discarded container, only its sample's doses count.
     """
     return bool(closed.doses and not closed.is_discarded) or any(
         dose.container == closed.container for dose in result.doses

@@ -1,4 +1,4 @@
-"""One run from plan to result: the cell, its journal, and the batch between them."""
+"""One run from plan to result: the cell, its journal, and the batch that joins them."""
 
 import secrets
 import shutil
@@ -56,18 +56,18 @@ from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.substitutes import Substitutes
 
 TOLD_SPILLED_MG = 1.0
-"""What has come to lie beside mortars, pan and waste is told from so much on, where a simulation knows of it."""
+"""Least powder beside mortars, pan and waste that is reported, if a simulation knows it [mg]."""
 
 
 class Session:
-    """A cell made ready for a plan, new or to be resumed. `run` once, then `close`; in whichever thread.
+    """A cell made ready for a plan, new or resumed. Call `run` once, then `close`, from any thread.
 
-    `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one; `resumes` is the
-    interrupted run (`run/resume.py` finds and checks it); `substitutes` stand in for skills, in a test.
+    `motion` is a planner that `prepared_motion` made for the same places, if dry runs share one. `resumes` is the
+    interrupted run (found and checked by `run/resume.py`). `substitutes` stand in for skills, in a test.
 
     Raises, before anything moves: SourceError for an unknown controller, an unwritable folder, an unattended plan that
-    needs a person, a real balance beyond its limits or a run that another process has, PlantError for a plant that
-    cannot be used, NoCompiler for a rehearsal without one, SkillFailed for places without a way between them, or a
+    needs a person, a real balance beyond its limits or a run that another process has; PlantError for a plant that
+    cannot be used; NoCompiler for a rehearsal without one; SkillFailed for places without a way between them, or a
     device that does not answer.
     """
 
@@ -86,9 +86,9 @@ class Session:
             check_unattended(plan)
         self.plan = plan
         self.warnings: list[str] = []
-        """What a real run asks more of its balance than that is known to give, where it goes on all the same."""
+        """What a real run asks of its balance beyond what that is known to give, if it runs all the same."""
         self.control = control or Control()
-        """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
+        """Pauses, continues and stops the run safely, as Ctrl-C does."""
         lab = replace(lab, cell=lab.cell.slowed(options.slow_ratio))
         self._lab, self._options, self._has_run = lab, options, threading.Lock()
         self._substitutes, self._shares_motion = substitutes, motion is not None
@@ -150,7 +150,7 @@ class Session:
         if options.is_kept:
             listener = _listen(journal.path, self.control)
             self._holds.callback(listener.end)
-        if history is None and isinstance(options.simulation, Rehearsal):  # of one that never began nothing is left
+        if history is None and isinstance(options.simulation, Rehearsal):  # a run that never began leaves nothing
             opened.callback(shutil.rmtree, folder_of_run(journal.path), ignore_errors=True)
         setup = set_up(
             self.plan,
@@ -184,17 +184,17 @@ class Session:
             self.cell.clock.hurries = lambda: self.control.halts
 
     def _are_twins(self) -> bool:
-        """Whether a device says that it is a twin; which one it is, a balance has said by its first reading.
+        """Whether a device says that it is a twin. A balance identifies itself by its first reading.
 
-        Then no matter is real: nothing is learnt from this run, nor taken from the inventory.
+        Then no matter is real: nothing is learnt from this run, and the inventory is not used.
         """
-        with suppress(SkillFailed):  # one that says nothing fails the run by itself
+        with suppress(SkillFailed):  # a silent balance fails the run later
             for wake in self.cell.balance.next_reading():
                 self.cell.clock.wait([wake])
         return any(is_twin(getattr(device, "identity", "")) for device in self.cell.every_device.values())
 
     def _require_same_matter(self, path: Path) -> None:
-        """SourceError for a run that was begun on real devices and is resumed on twins, or the other way round."""
+        """Raises SourceError if a run begun on real devices is resumed on twins, or the other way round."""
         begun = self._history.run if self._history is not None else None
         if begun is not None and begun.seed is None and begun.simulated != self.cell.simulated:
             there, here = ("twins", "real devices") if begun.simulated else ("real devices", "twins")
@@ -202,7 +202,7 @@ class Session:
             raise SourceError([Problem(Mark(str(path)), problem)])
 
     def _meet_balance(self) -> None:
-        """What it is known to give. SourceError where a new run asks more."""
+        """Compare the plan with the balance. Raises SourceError if a new run asks too much of it."""
         figures = self._records.learnt.figures(simulated=False).get(self.cell.balance_name, {})
         beyond = beyond_limits(self.plan, self._lab, figures, datetime.now().astimezone())
         if beyond and self._history is None and self._lab.cell.balance.limits.when_beyond == "refuse":
@@ -214,11 +214,11 @@ class Session:
         self.journal.weighed(reading)
 
     def _begin(self, resumes: Resumable | None) -> None:
-        """The first words of the journal, or the first ones of a resumed run."""
+        """Write the first entry of a new or resumed run."""
         if resumes is not None:
             take_up(self.cell, resumes.history.state)
             self.cell.believed.sources_mended()
-        if not self.cell.simulated:  # what was forgotten since the run broke off stays so
+        if not self.cell.simulated:  # what a person has had forgotten since the interruption stays forgotten
             broke_off = resumes.history.at if resumes is not None else ""
             self._records.learnt.recall(self.cell, datetime.now().astimezone(), broke_off)
             for name in self._records.learnt.unreadable():
@@ -227,7 +227,7 @@ class Session:
             return
         if resumes is None:
             begun = described(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
-            with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
+            with suppress(SourceError):  # an unreadable ledger is reported when its first line is written
                 begun = begun.model_copy(update={"ledger": self._records.ledger.last()[0]})
             self.journal.event(begun)
             return
@@ -244,14 +244,14 @@ class Session:
 
     @property
     def mode(self) -> str:
-        """Real devices, TWINS, SIMULATED or REHEARSAL."""
+        """ "REAL DEVICES", or how it is simulated."""
         simulation = self._options.simulation
         on_cell = ON_TWINS if self.cell.simulated else "REAL DEVICES"
         return simulation.mode if simulation is not None else on_cell
 
     @property
     def title(self) -> str:
-        """What is run, on what, in a line."""
+        """What is run, and on what, in one line."""
         simulation = self._options.simulation
         on_cell = ON_TWINS if self.cell.simulated else "real devices"
         mode = f"{simulation.mode} (seed {simulation.seed})" if simulation is not None else on_cell
@@ -266,7 +266,7 @@ class Session:
         return f"{self.plan.recipe.name}: {again}{count} on the cell '{self._lab.cell.cell}', {mode}"
 
     def run(self, observer: BatchObserver) -> BatchResult:
-        """Run the batch to its end; whatever happens, the cell ends safe. RuntimeError the second time."""
+        """Run the batch to its end; whatever happens, the cell ends safe. Raises RuntimeError the second time."""
         if not self._has_run.acquire(blocking=False):
             raise RuntimeError("a session is run once: make another one")
         truth = self.truth
@@ -298,8 +298,8 @@ class Session:
                     self._account = [RuleAccount(**rule) for rule in account]
                     self.journal.event(FaultRules(rules=self._account))
                 self._records.batch_ended()
-                self.journal.settle()  # while the world can be kept with it
-            except RecordLost as lost:  # its end was still written
+                self.journal.settle()  # while the world can still be saved with it
+            except RecordLost as lost:  # the run's end is already written
                 self.notices.append(str(lost))
         self._records.came_to(result)
         if result.is_complete:
@@ -307,7 +307,7 @@ class Session:
         return result
 
     def before(self) -> Follower | None:
-        """What a run that is resumed had come to; None for a new one."""
+        """What a resumed run had done before; None for a new one."""
         if self._history is None:
             return None
         now = Follower(self.journal.path)
@@ -319,7 +319,7 @@ class Session:
         return self._history is not None and bool(self._history.state)
 
     def _settle(self) -> Steps[None]:
-        """What has to be known of the cell before its first job."""
+        """What must be known of the cell before its first job."""
         if not self.cell.hand.knows_its_roller:
             yield from settle_roller(self.cell)
         yield from resolve(self.cell, self._conflicts)
@@ -332,27 +332,27 @@ class Session:
 
     @property
     def unused_rules(self) -> list[str]:
-        """The rules of the fault file whose fault has never come, with their places."""
+        """The rules of the fault file whose fault has never occurred, with their places."""
         file = self._options.simulation.faults if self._options.simulation is not None else None
         if file is None:
             return []
-        account = zip(file.marks, self._account, strict=False)  # nobody knows it of twins that have ended
+        account = zip(file.marks, self._account, strict=False)  # empty if the twins have ended
         return [f"{mark}: '{rule.fault}'" for mark, rule in account if not rule.came_s]
 
     def write_off(self, reason: str, traceback: str) -> None:
-        """Close the journal of a run that hangs, from another thread than its own: the program is ended with it."""
+        """Close the journal of a run that hangs, from another thread; the program ends right after."""
         self.journal.event(Broken(traceback=traceback))
         self.journal.event(Ended(exit_code=ExitCode.CELL_FAULT, reason=reason, complete=False))
         self.journal.close()
 
     def close(self) -> None:
-        """Close the devices, wait for what is being told of the run, and close the journal."""
+        """Close the devices, wait for notifications under way, and close the journal."""
         with ExitStack() as closing:
             closing.callback(self._holds.close)
             closing.callback(self._records.anchor_end)
             closing.callback(self.journal.close)
             closing.callback(self._records.finish_telling)
-            if not self._shares_motion:  # whoever keeps the session, and until Python collects its cycles
+            if not self._shares_motion:  # frees its memory even if the session is kept, or waits for the collector
                 closing.callback(self.cell.motion.let_go)
             closing.callback(self.cell.motion.keep_plans)
             closing.callback(self._close_cell)
@@ -361,13 +361,13 @@ class Session:
 def _listen(journal: Path, control: Control) -> WishListener:
     try:
         return WishListener(journal, control)
-    except OSError:  # though it is not locked any more
+    except OSError:  # its lock was deleted
         raise SourceError([Problem(Mark(str(journal)), BEING_RUN.format(journal.stem))]) from None
 
 
 def _open_journal(path: Path, *, is_new: bool, durable: bool, is_kept: bool) -> Journal:
     try:
-        if is_new and is_kept:  # two runs of one second may draw one id: the second one ends here
+        if is_new and is_kept:  # if two runs of the same second draw the same id, the second one ends here
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch(exist_ok=False)
         return Journal(path, durable=durable, is_kept=is_kept)

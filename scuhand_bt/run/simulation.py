@@ -1,4 +1,4 @@
-"""How a run is simulated, if it is: dry, or as a rehearsal."""
+"""How a run is simulated, if it is: as a dry run or as a rehearsal."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -8,9 +8,9 @@ from scuhand_bt.sim.fault_rules import FaultFile
 
 @dataclass(frozen=True)
 class DryRun:
-    """Simulated devices on a virtual clock: the seed, the physics, how fast time may pass (None: at once).
+    """Simulated devices on a virtual clock. `speed` limits virtual over wall time (None: no limit).
 
-    `faults` is what goes wrong.
+    `plant` is the physics, `faults` is what goes wrong.
     """
 
     mode: ClassVar = "SIMULATED"
@@ -19,14 +19,14 @@ class DryRun:
     speed: float | None = None
     faults: FaultFile | None = None
     asks: bool = False
-    """A person is asked, as at the real cell, and time goes on as it does for that person; else one is simulated."""
+    """A real person is asked, and time passes as on the wall while they answer; else a person is simulated."""
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """The real drivers in real time, against twins of the devices: the seed, and the physics behind them.
+    """The real drivers in real time, against twins of the devices.
 
-    `faults` is what goes wrong.
+    `plant` is the physics behind them, `faults` is what goes wrong.
     """
 
     mode: ClassVar = "REHEARSAL (simulated matter, real drivers)"
@@ -34,7 +34,7 @@ class Rehearsal:
     plant: str | None = None
     faults: FaultFile | None = None
     asks: bool = False
-    """A person is asked though no terminal is there."""
+    """A person is asked even without a terminal."""
 
 
 Simulation = DryRun | Rehearsal

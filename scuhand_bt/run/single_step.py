@@ -1,4 +1,4 @@
-"""Single step: a person is asked before each action of a run, and nothing begins without a word."""
+"""Single step: a person is asked before each action of a run."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +15,7 @@ CHOICES = ("go", "stop")
 class SingleStep:
     """Lets each action of a run begin when the person at the cell says so; see `tree.leaf.Consent`.
 
-    One question at a time: of actions that are to begin side by side, the second is asked for after the first.
+    One question at a time: of actions that begin in parallel, the second is asked for after the first.
     """
 
     def __init__(self, cell: Cell, control: Control) -> None:
@@ -48,7 +48,7 @@ class SingleStep:
         if question is not None:
             question.close()
         shared.holds_up(self, False)
-        shared.going_on.fire()  # who waits to be asked for
+        shared.going_on.fire()  # for other leaves that wait for their question
 
 
 def _asked(leaf: SkillLeaf, inputs: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""The strokes that a run makes in a mortar, by the skill's own choice, and whether the arm can: before it is to."""
+"""The strokes that a run makes in a mortar, chosen as the skill does, and whether the arm can make them."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -25,23 +25,24 @@ if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
 
 STEP_DEG = 30
-"""Between the directions in which a stroke is looked for."""
+"""Step between the directions in which a stroke is looked for [deg]."""
 LEAST_BED_MG = 30.0
-"""Less in a mortar is not scooped any more."""
+"""A mortar with less than this is not scooped any more."""
 WORTH_SHARE = 0.01
-"""Of bed and load a stroke brings as much at least, or `LEAST_BED_MG`: a run takes less for that of an empty mortar."""
+"""A stroke is to bring at least this share of bed and load limit, or `LEAST_BED_MG`. A run takes less to mean that the
+mortar is empty."""
 
 FIRST_SHARE = 0.08
-"""Of bed and load a first stroke brings so much at least, or all that is needed. In dry runs of 8 doses of 500 mg of
-MSG, from bowls of 55 to 58 mm, where it is 0.01 to 0.07, one at most came; from one of 60 mm (0.12) five."""
+"""A first stroke is to bring at least this share of bed and load limit, or all that is needed. In dry runs of 8 doses
+of 500 mg of MSG, bowls of 55 to 58 mm (share 0.01 to 0.07) gave at most one dose, one of 60 mm (0.12) five."""
 POOR_SHARE, POOR_DOSES = 0.15, 2.0
-"""And so little that doses take several scoops each: less than this share, and so many of the largest dose. By the
-height field, of 8 doses of 500 mg of 6 g in a bowl of 60 and 20 mm, where it is 0.12 of MSG and 0.10 of titanium
-dioxide, the last four take 8 and 12 scoops, or 22 in a dry run; in one of 62 and 21 mm (0.22, 0.19) 4 and 2."""
+"""Below this share, and below this many of the largest dose, doses take several scoops each. By the height field, for
+8 doses of 500 mg from 6 g: in a bowl of 60 and 20 mm (share 0.12 for MSG, 0.10 for titanium dioxide) the last four
+doses take 8 and 12 scoops (22 in a dry run); in one of 62 and 21 mm (0.22, 0.19) 4 and 2."""
 
 
 class MortarCannotBeScooped(SkillFailed):
-    """Wherever it stands, what lies in this `source` cannot be scooped."""
+    """What is in this `source` cannot be scooped, wherever it stands."""
 
     def __init__(self, source: str, why: str) -> None:
         super().__init__(Code.ARM_NO_PATH, f"'{source}' cannot be scooped from: {why}")
@@ -49,9 +50,9 @@ class MortarCannotBeScooped(SkillFailed):
 
 
 def require_first(cell: CellSpec, demand: Demand) -> None:
-    """MortarCannotBeScooped where the first stroke in what a plan begins with brings too little for it.
+    """Raises MortarCannotBeScooped if the first stroke in the bed that a plan begins with brings too little.
 
-    And where none could be made after a refill.
+    Also if no stroke could be made after a refill.
     """
     source = demand.source
     worth_mg = FIRST_SHARE * _at_once_mg(source)
@@ -64,19 +65,19 @@ def require_first(cell: CellSpec, demand: Demand) -> None:
 
 
 def poor_first_mg(cell: CellSpec, source: Source, largest_mg: float) -> float | None:
-    """What the first stroke brings, where that is so little that doses, of so much at most, take several scoops each.
+    """What the first stroke brings, if doses (of `largest_mg` at most) then take several scoops each.
 
-    None where it brings more, and where there is none.
+    None if it brings more, or if no stroke is possible.
     """
     try:
         _, brings_mg = _first(cell, source, source.amount_mg)
-    except ValueError:  # no stroke; or a vessel that cannot be, which is told where it is written
+    except ValueError:  # no stroke, or an impossible vessel, which is reported where it is written
         return None
     return brings_mg if brings_mg < min(POOR_SHARE * _at_once_mg(source), POOR_DOSES * largest_mg) else None
 
 
 def one_load_mg(cell: CellSpec, source: Source, bed_mg: float) -> float | None:
-    """What one scoop should bring of such a bed, level; None where there is no stroke."""
+    """What one scoop should bring from such a bed, if level; None if no stroke is possible."""
     try:
         _, brings_mg = _first(cell, source, bed_mg)
     except ValueError:  # as above
@@ -90,7 +91,7 @@ def _at_once_mg(source: Source) -> float:
 
 
 def stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> Stroke:
-    """What is made in such a bed; MortarCannotBeScooped, with what would do, where it brings less than is worth it."""
+    """The stroke made in such a bed. Raises MortarCannotBeScooped, with a remedy, if it brings less than `worth_mg`."""
     is_jar = source.mortar.corner_mm is not None
     try:
         stroke, brings_mg = _first(cell, source, bed_mg)
@@ -103,13 +104,13 @@ def stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float)
         why = f"{what} jar {brings}; fill in more, or take a mortar"
         if not is_jar:
             why = f"{what} bowl {brings} without a heap over its edge"
-    if not is_jar:  # of a jar it is told with why
+    if not is_jar:  # for a jar, `why` has the remedy
         why += _would_do(cell, source, bed_mg, worth_mg)
     raise MortarCannotBeScooped(source.name, why)
 
 
 def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) -> str:
-    """The nearest bore, and depth, with which a stroke would be worth it, and how much less in it; "" for none."""
+    """The nearest bore, depth and smaller filling with which a stroke would bring enough, as text; "" if none would."""
     bowl = source.mortar
     wall_mm = bowl.outer_diameter_mm - bowl.bore_mm
 
@@ -135,7 +136,7 @@ def _would_do(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float) ->
 
 
 def _first(cell: CellSpec, source: Source, bed_mg: float) -> tuple[Stroke, float]:
-    """The first stroke in such a bed, and what it should bring; NoStrokeError where there is none."""
+    """The first stroke in such a bed, and what it should bring. Raises NoStrokeError if there is none."""
     ladle = Ladle.of(cell.hand)
     bed = bed_for(source.mortar, bed_mg, source.powder, ladle)
     stroke = next(strokes_in(bed, ladle, source.powder.load_limit_mg, [0.0]))
@@ -143,14 +144,14 @@ def _first(cell: CellSpec, source: Source, bed_mg: float) -> tuple[Stroke, float
 
 
 def wishes_mg(demand: Demand) -> list[float]:
-    """What scoops of a plan are to bring: the most, and what its smallest dose asks for, by the highest stroke."""
+    """How much scoops of a plan are to bring: the load limit, and what the smallest dose asks for."""
     source, limit_mg = demand.source, demand.source.powder.load_limit_mg
     least_mg = scooped_for_mg(min(demand.doses_mg), source.powder, is_discarded=source.is_discarded)
     return list(dict.fromkeys([limit_mg, min(limit_mg, least_mg)]))
 
 
 def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
-    """What is made in a bed on the way through a mortar. MortarCannotBeScooped where nothing comes of it."""
+    """The stroke made in a bed on a plan's way through a mortar. Raises MortarCannotBeScooped if it brings nothing."""
     worth_mg = min(LEAST_BED_MG, WORTH_SHARE * min(bed_mg, source.powder.load_limit_mg))
     return stroke_worth(cell, source, bed_mg, worth_mg)
 
@@ -158,7 +159,7 @@ def stroke_in(cell: CellSpec, source: Source, bed_mg: float) -> Stroke:
 def strokes_along(
     cell: CellSpec, source: Source, bed_mg: float, wanted_mg: float, along_deg: Sequence[float]
 ) -> Iterator[Stroke]:
-    """What is tried in such a bed for so much; MortarCannotBeScooped where nothing comes of it."""
+    """The strokes tried in such a bed to bring `wanted_mg`. MortarCannotBeScooped if they would bring nothing."""
     stroke_in(cell, source, bed_mg)
     ladle = Ladle.of(cell.hand)
     bed = bed_for(source.mortar, bed_mg, source.powder, ladle)
@@ -166,15 +167,15 @@ def strokes_along(
 
 
 def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> None:
-    """The strokes that are made in a jar for a plan's doses, as the skill chooses them; for those until it is refilled.
+    """Plan the strokes in a jar for a plan's doses (until its first refill), as the skill chooses them.
 
-    SkillFailed arm.* where the arm can make none; MortarCannotBeScooped where those that it can make are not sure to
-    bring the doses, or fewer than the plan counts on before the first refill.
+    Raises SkillFailed arm.* if the arm can make none; MortarCannotBeScooped if those that it can make are not sure to
+    bring all doses, or fewer than the plan counts on before the first refill.
     """
     source, why_not = demand.source, dict[tuple[float, bool], str]()
 
     def arm_can(stroke: Stroke) -> bool:
-        way = stroke.heading_deg, stroke.gap_mm <= LIP_GAP_MM  # a lip on the floor has the hand nearest to the wall
+        way = stroke.heading_deg, stroke.gap_mm <= LIP_GAP_MM  # with the lip on the floor the hand is nearest the wall
         if way not in why_not:
             why_not[way] = ""
             try:
@@ -211,7 +212,7 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
 
 
 def headings_deg(cell: CellSpec, station: str) -> Iterator[float]:
-    """The directions that a mortar is scooped in, about the vertical from x; across the arm's reach first."""
+    """The directions of strokes in a mortar, about the vertical from x [deg]; the one across the arm's reach first."""
     x_mm, y_mm, _ = cell.stations[station].position_mm
     across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
     for turn_deg in range(0, 360, STEP_DEG):
@@ -221,10 +222,10 @@ def headings_deg(cell: CellSpec, station: str) -> Iterator[float]:
 def swing_and_out(
     motion: "MotionPlanner", cell: CellSpec, source: Source, stroke: Stroke, *, is_brief: bool = False
 ) -> float:
-    """A stroke in its direction, its load to the mortar's place, and the cone opened: how long it swings [s].
+    """Plan a stroke, its load's way to the mortar's place, and opening the cone. Returns the swing's duration [s].
 
-    `is_brief`: the load's way is not searched for at length. NoStrokeError, or SkillFailed arm.*, where one of these
-    cannot be.
+    `is_brief`: search only briefly for the load's way. Raises NoStrokeError or SkillFailed arm.* if one of these is
+    not possible.
     """
     path = stroke_path(Vessel.of(source.mortar), stroke, Ladle.of(cell.hand))
     try:

@@ -1,14 +1,14 @@
-"""Twins in a process of their own, as a run on them meets it: it outlives the run, with the world that it has on disk.
+"""Twins in a process of their own, from the point of view of a run on them. They outlive the run.
 
-    FOLDER/world        the file that their world lives in (`sim/world_file.py`)
+    FOLDER/world        the file with their world (`sim/world_file.py`)
     FOLDER/made.json    what that world was made of
     FOLDER/twins.lock   held by the process that has them (`run/twins_process.py`)
     FOLDER/arm, …       their ports, by the names of the devices
-    FOLDER/log          what a process that a run has started had to say
+    FOLDER/log          output of a process that a run has started
 
-What a person does at the cell is said to the process in words (`run/hands.py`), over a socket that has a name and no
-file: a line with a list of them, and for each a line with the answer (`Answer`), as JSON. By itself it says one thing,
-{"failed": WHY}, and ends.
+What a person does at the cell is sent to the process in words (`run/hands.py`) over an abstract socket: one line of
+JSON with the list of words, and one line with the `Answer`. The process itself sends only {"failed": WHY}, before it
+ends.
 """
 
 import json
@@ -38,19 +38,19 @@ from scuhand_bt.specs import Container, Source
 
 FOLDER, WORLD, MADE, LOCK, LOG = "twins", "world", "made.json", "twins.lock", "log"
 ANSWER_S = 10.0
-"""Twins on a busy computer answer within this time, or do not any more."""
+"""Twins on a busy computer answer within this time [s]; else they count as gone."""
 BEGIN_S = 120.0
-"""And have begun within this."""
+"""How long they may take to start [s]."""
 GONE = "the twins have ended; what they were is on disk, and `scuhand-bt resume` starts them anew"
 
 
 @dataclass(frozen=True)
 class Made:
-    """What a world was made of: one of another cell, or of other powders, is no place to go on in."""
+    """What a world was made of. A run cannot go on in the world of another cell, or with other powders."""
 
     cell: str
     sources: dict[str, str]
-    """By name: which powder, in which mortar, where. How much is in it now, the world knows."""
+    """By name: which powder, in which mortar, where. The world itself knows how much is in it."""
     seed: int
     plant: str
 
@@ -67,7 +67,7 @@ class Made:
         return f"the cell '{self.cell}' with {powders}, seed {self.seed}, plant {self.plant}"
 
     def require_same(self, folder: Path) -> None:
-        """SourceError where the world in this folder was made of something else."""
+        """Raises SourceError if the world in this folder was made of something else."""
         if not (folder / WORLD).exists():
             return
         try:
@@ -82,7 +82,7 @@ class Made:
 
 
 def folder_of_run(journal: Path) -> Path:
-    """Where the twins of a rehearsal are, beside its journal."""
+    """The folder of a rehearsal's twins, beside its journal."""
     return journal.with_suffix(".twins")
 
 
@@ -92,7 +92,7 @@ def have_their_process(folder: Path) -> bool:
 
 
 def say(folder: Path, words: Sequence[str]) -> Answer:
-    """Say words to the twins of this folder. SourceError where none are."""
+    """Send words to the twins of this folder. Raises SourceError if there are none."""
     if not have_their_process(folder):
         raise _problem(folder, "no twins are running here; `scuhand-bt twins` starts them")
     try:
@@ -103,12 +103,12 @@ def say(folder: Path, words: Sequence[str]) -> Answer:
 
 
 class Twins:
-    """The twins' process of one run, whose person acts on them; `tell` is told why their world cannot be kept."""
+    """The twins' process of one run. `tell` is told why their world cannot be saved."""
 
     def __init__(
         self, folder: Path, line: socket.socket, process: subprocess.Popen[bytes] | None, tell: Callable[[str], None]
     ) -> None:
-        """For `open_twins`."""
+        """Use `open_twins`."""
         self._folder, self._line, self._process = folder, _Line(line), process
         self._tell: Callable[[str], None] | None = tell
 
@@ -116,7 +116,7 @@ class Twins:
         return str(self._folder / device)
 
     def say(self, *words: str) -> Mapping[str, Any]:
-        """Say it, and return what was found. ValueError where it was not done; else as `check`."""
+        """Send words, and return what was found. Raises ValueError if it was not done; else as `check`."""
         try:
             answer = self._line.say(words)
         except (OSError, EOFError):
@@ -129,7 +129,7 @@ class Twins:
         return answer.found
 
     def check(self) -> None:
-        """SkillFailed device.lost where they have ended, PlantError with what has ended them."""
+        """Raises SkillFailed device.lost if they have ended, PlantError with the reason if they failed."""
         try:
             self._line.hear_what_comes()
         except (OSError, EOFError):
@@ -150,7 +150,7 @@ class Twins:
         self.say("refill", source, f"{mass_mg!r} mg")
 
     def weigh(self, mass_mg: float) -> None:
-        """A check weight on the pan; none for 0 mg."""
+        """Put a check weight on the pan; 0 mg removes it."""
         self.remove()
         if mass_mg > 0.0:
             self.say("weight", f"{mass_mg!r} mg")
@@ -159,14 +159,14 @@ class Twins:
         self.say("sample", sample, str(attempt))
 
     def comes(self, fault: str, now_s: float) -> bool:
-        """Whether this momentary fault comes now."""
+        """Whether this momentary fault occurs now."""
         return bool(self.say("comes", fault)["comes"])
 
     # --- for judging, never for skills
 
     @property
     def masses_mg(self) -> Mapping[str, float]:
-        """What is in every compartment [mg]; of twins that have ended, by their file. Empty where nobody knows."""
+        """What is in every compartment [mg]; from the file if the twins have ended. Empty if nobody knows."""
         with suppress(SkillFailed, PlantError):
             masses_mg: Mapping[str, float] = self.say("look")["masses_mg"]
             return masses_mg
@@ -180,14 +180,14 @@ class Twins:
 
     @property
     def fault_account(self) -> Sequence[Mapping[str, Any]]:
-        """Each rule's fault, and when it came [s]; empty for twins that have ended."""
+        """Each rule's fault, and when it came [s]; empty if the twins have ended."""
         with suppress(SkillFailed, PlantError):
             account: Sequence[Mapping[str, Any]] = self.say("look")["faults"]
             return account
         return ()
 
     def end(self) -> None:
-        """The twins end; what they are stays on disk."""
+        """End the twins; their state stays on disk."""
         with suppress(SkillFailed, PlantError):
             self.say("end")
         self._line.close()
@@ -200,10 +200,10 @@ class Twins:
 
 
 def open_twins(folder: Path, made: Made, command: Sequence[str], tell: Callable[[str], None]) -> Twins:
-    """The twins of a run: those that run in this folder, else a process that goes on from its world, or makes one.
+    """The twins of a run: those already running in this folder, else a new process that restores or makes their world.
 
     `command` are the arguments of `scuhand-bt twins` that make them. Raises SourceError for a world that was made of
-    something else, and twins that do not begin.
+    something else, and for twins that do not start.
     """
     made.require_same(folder)
     process: subprocess.Popen[bytes] | None = None
@@ -213,7 +213,7 @@ def open_twins(folder: Path, made: Made, command: Sequence[str], tell: Callable[
             process = _begun(folder, command)
         try:
             line = _connected(folder)
-            _Line(line).say(["look"])  # one that is just being killed still takes callers
+            _Line(line).say(["look"])  # a process that is being killed still accepts connections
             return Twins(folder, line, process, tell)
         except (OSError, EOFError):
             ended = process is not None and process.poll() is not None
@@ -229,7 +229,7 @@ def open_twins(folder: Path, made: Made, command: Sequence[str], tell: Callable[
 
 
 def _begun(folder: Path, command: Sequence[str]) -> subprocess.Popen[bytes]:
-    """A process of its own, which no signal to this one's terminal reaches, and that finds the same modules."""
+    """Start a process that no signal from this terminal reaches, and that finds the same modules."""
     whole = [sys.executable, "-m", "scuhand_bt", "twins", *command, "--at", str(folder), "--of-run"]
     paths = os.pathsep.join(path for path in sys.path if path)
     try:
@@ -259,14 +259,14 @@ def _connected(folder: Path) -> socket.socket:
 
 
 class _Line:
-    """Lines of JSON over a socket. Every method raises OSError or EOFError where nobody is there any more."""
+    """Lines of JSON over a socket. Every method raises OSError or EOFError if the other end is gone."""
 
     def __init__(self, line: socket.socket) -> None:
         self._line = line
         self._heard = b""
 
     def say(self, words: Sequence[str]) -> Answer:
-        """PlantError for twins that have failed."""
+        """Send words and return the answer. Raises PlantError if the twins have failed."""
         self._line.sendall(json.dumps(words).encode() + b"\n")
         while b"\n" not in self._heard:
             self._hear()
@@ -277,7 +277,7 @@ class _Line:
         return Answer(**answer)
 
     def hear_what_comes(self) -> None:
-        """Nothing comes by itself; but for what has failed, as a PlantError."""
+        """Read what has come unasked, which is only the reason of a failure; raises it as PlantError."""
         while select.select([self._line], [], [], 0)[0]:
             self._hear()
             if b"\n" in self._heard:

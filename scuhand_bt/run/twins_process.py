@@ -1,4 +1,4 @@
-"""The process that twins have of their own: what of it is there for other programs is in `run/twins.py`."""
+"""The process in which twins run. Its interface for other programs is in `run/twins.py`."""
 
 import json
 import socket
@@ -23,16 +23,16 @@ from scuhand_bt.sim.fault_rules import FaultFile
 from scuhand_bt.specs import Source
 
 ALONE_S = 600.0
-"""Twins of a run end when no program was there for so long: it was killed, and nobody has resumed it."""
+"""Twins of a run end if no program was connected for this long [s]: the run was killed, and nobody has resumed it."""
 LOOK_S = 1.0
 
 
 class TwinsProcess:
-    """The twins of a lab's cell in a folder, from the world in it, or a new one; a context manager.
+    """The twins of a lab's cell in a folder, with the world in it or a new one; a context manager.
 
-    `of_run`: a run has started them, tells them of its samples, and is waited for no longer than `ALONE_S`; its fault
-    file may name what its operator does. Raises SourceError for twins that run already, a world that cannot be gone on
-    from and faults that could have no effect; NoCompiler, PlantError.
+    `of_run`: a run has started them and tells them of its samples. They then end if alone for `ALONE_S`, and their
+    fault file may say what the run's operator does. Raises SourceError if twins already run there, for a world that
+    cannot be restored and for faults that could have no effect; NoCompiler, PlantError.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class TwinsProcess:
                 lab, seed, faults, sources, plant=plant, ports=folder, clock=self._clock, of_run=of_run
             )
             self.goes_on = (folder / WORLD).exists() and not is_new
-            """From a world that was there, and not a new one."""
+            """Whether it continues a world that was there."""
             if self.goes_on:
                 self._clock.go_on_from(self.bench.take_up(folder / WORLD, self._lose))
             else:
@@ -83,16 +83,16 @@ class TwinsProcess:
         self._opened.close()
 
     def obey(self, words: list[str]) -> Answer:
-        """Do what the words say; safe to call from any thread. After the last answer, `end` them."""
+        """Do what the words say; safe to call from any thread. After the last answer, call `end`."""
         answer = self._hands.obey(words)
         return replace(answer, found={**answer.found, "not_kept": self._not_kept}) if self._not_kept else answer
 
     def end(self) -> None:
-        """Go on no longer."""
+        """Make `go_on` return."""
         self._stop.fire()
 
     def go_on(self) -> None:
-        """Until the end. Raises what has ended the world."""
+        """Run until the end. Raises whatever has ended the world."""
         try:
             while not (self._stopped.has_fired or (self._of_run and self._ear.alone_s > ALONE_S)):
                 self._clock.wait([self._stopped._replace(until_s=self._clock.now_s + LOOK_S)])
@@ -106,7 +106,7 @@ class TwinsProcess:
 
 
 class _Ear:
-    """Hears what other programs say, each on a thread of its own."""
+    """Serves other programs, each on its own thread."""
 
     def __init__(self, folder: Path, process: TwinsProcess) -> None:
         self._process = process
@@ -127,7 +127,7 @@ class _Ear:
 
     @property
     def alone_s(self) -> float:
-        """For how long no program has been there."""
+        """For how long no program has been connected [s]."""
         return 0.0 if self._callers else time.monotonic() - self._heard_s
 
     def say_to_all(self, what: Mapping[str, str]) -> None:

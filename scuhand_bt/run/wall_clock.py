@@ -1,7 +1,7 @@
-"""The computer's own clock, by which entries are dated: that it was set is noticed, and noted in the journal.
+"""Notices when the computer's clock, which dates all entries, was set, so that the journal can say so.
 
-Within a run it is held against the time since the computer was started (which counts a suspended computer's time too,
-and which nobody sets); between runs against the last line of the lab's ledger.
+Within a run it is compared with the time since boot, which nobody can set and which includes suspended time; between
+runs with the last line of the lab's ledger.
 """
 
 import time
@@ -10,19 +10,19 @@ from datetime import datetime, timedelta
 from scuhand_bt.quantity import format_duration
 
 JUMP_S = 60.0
-"""A clock that is corrected by less (NTP does it step by step) is a clock that is right."""
+"""Smaller corrections are ignored; NTP makes them all the time [s]."""
 LONGEST_REST = timedelta(days=366)
-"""A lab that has done nothing for longer is rarer than a clock that is wrong."""
+"""A lab that was idle for longer is less likely than a wrong clock."""
 
 
 class ClockWatch:
-    """Looks at the clock now and then."""
+    """Compares the clocks from time to time."""
 
     def __init__(self) -> None:
         self._wall_s, self._steady_s = _now()
 
     def jump(self) -> str | None:
-        """How the clock was set since the last look, in words; None where it was not."""
+        """How the clock was set since the last call, as text; None if it was not."""
         wall_s, steady_s = _now()
         should_be_s = self._wall_s + steady_s - self._steady_s
         self._wall_s, self._steady_s = wall_s, steady_s
@@ -36,7 +36,7 @@ class ClockWatch:
 
 
 def disagreement(last_at: str | None) -> str | None:
-    """What is odd about the clock after something was dated `last_at` (ISO 8601); None where nothing is."""
+    """What is odd about the clock, given the date of the last entry (ISO 8601); None if nothing is."""
     if last_at is None:
         return None
     now, last = datetime.now().astimezone(), datetime.fromisoformat(last_at)

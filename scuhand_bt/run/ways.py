@@ -1,9 +1,6 @@
-"""All that a plan will ask of the arm, found possible before it moves.
+"""Plans everything that a plan will ask of the arm, so that what is impossible is found before anything moves.
 
-Between all places: empty past each container; with a fresh sheet's cone, where that is another than loads are carried
-in; with the heaviest load from each mortar to each container and to where it is discarded, which are the ways back too;
-straight down where a workflow says so; and for each mortar a stroke, in some direction, in the bed that the plan begins
-with and in the one that it leaves, with the way out of it.
+The list is in docs/motion.md, "Before a run".
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -37,12 +34,14 @@ from scuhand_bt.run.stroke_ways import (
 from scuhand_bt.specs import ContainerKind, Source
 
 LOWERING_M_PER_S = 0.06
+"""Speed of a descent into a container [m/s]."""
 MOST_TRIED, MOST_EACH = 16, 4
-"""Of the places for all mortars that stand badly so many are tried together; and so many for each but the last one."""
+"""How many combinations of places for badly placed mortars are tried; and how many places of each mortar but the
+last."""
 
 
 class MortarStandsBadly(SkillFailed):
-    """A mortar, at this `station`, cannot be scooped from, stood over, or carried from."""
+    """The mortar at this `station` cannot be scooped from, stood over, or carried from."""
 
     def __init__(self, code: str, detail: str, station: str) -> None:
         super().__init__(code, detail)
@@ -50,10 +49,10 @@ class MortarStandsBadly(SkillFailed):
 
 
 def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind]) -> None:
-    """Plan all of them; SkillFailed arm.* for one that there is not.
+    """Plan all ways. Raises SkillFailed arm.* if there is none for one of them.
 
-    MortarStandsBadly says where mortars might stand instead, all that stand badly: what is proposed has all the ways.
-    No place helps where MortarCannotBeScooped is raised.
+    MortarStandsBadly names places for all badly placed mortars with which the plan has all its ways.
+    MortarCannotBeScooped means that no place helps.
     """
     scooped = require_first_strokes(plan, cell)
     try:
@@ -63,7 +62,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
     except SkillFailed:
         _require_strokes(cell, scooped)
         _require_destinations(motion, cell, kinds, scooped)
-        motion.patience_s = 0.0  # from now on only whether there is a way counts, and not how quick it is
+        motion.patience_s = 0.0  # from now on only whether there is a way matters, not how quick it is
         lacks = [_lacks(motion, cell, kinds, demand) for demand in scooped]
         badly = [demand for demand, lack in zip(scooped, lacks, strict=True) if lack is not None]
         whys = [lack for lack in lacks if lack is not None]
@@ -75,7 +74,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
 
 
 def require_first_strokes(plan: Plan, cell: CellSpec) -> list[Demand]:
-    """What a plan scoops; MortarCannotBeScooped for what brings too little at a time."""
+    """The demands of sources that a plan scoops from. MortarCannotBeScooped if one gives too little at a time."""
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
     for demand in scooped:
         require_first(cell, demand)
@@ -83,7 +82,7 @@ def require_first_strokes(plan: Plan, cell: CellSpec) -> list[Demand]:
 
 
 def _require_strokes(cell: CellSpec, scooped: Sequence[Demand]) -> None:
-    """MortarCannotBeScooped for a bowl that holds a bed, on a plan's way, of which no stroke brings anything."""
+    """Raises MortarCannotBeScooped if a bowl will hold a bed, in this plan, from which no stroke brings anything."""
     for demand in scooped:
         if demand.source.mortar.corner_mm is None:
             for bed_mg in _beds_mg(demand):
@@ -93,8 +92,9 @@ def _require_strokes(cell: CellSpec, scooped: Sequence[Demand]) -> None:
 def _require_destinations(
     motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
 ) -> None:
-    """SkillFailed for a place that powder goes to and the arm cannot stand at, with no mortar anywhere: moving one is
-    of no help.
+    """Raises SkillFailed if the arm cannot stand at a place that powder goes to, even without any mortar.
+
+    Then moving a mortar would not help.
     """
     alone = _planner(motion, cell, kinds, [])
     for place in dict.fromkeys(place for demand in scooped for _, place, _ in _carries(cell, demand.source, kinds)):
@@ -102,7 +102,7 @@ def _require_destinations(
 
 
 def pan_in_no_zone(motion: MotionPlanner, lab: Lab) -> Iterator[Problem]:
-    """Where containers come to the pan by themselves in no zone that the arm enters to stand over it."""
+    """A problem if a changer's skills lease zones, and none of these contains the arm over the pan."""
     names_by = dict[tuple[str, ...], list[str]]()
     for name, kept in kept_by_changing(lab).items():
         names_by.setdefault(kept, []).append(name)
@@ -123,7 +123,7 @@ def pan_in_no_zone(motion: MotionPlanner, lab: Lab) -> Iterator[Problem]:
 def _planner(
     motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], standing: Sequence[Source]
 ) -> MotionPlanner:
-    """As `motion`, of a cell in which these mortars stand; SkillFailed for a place that the arm cannot reach."""
+    """As `motion`, for a cell with these mortars. Raises SkillFailed for a place that the arm cannot reach."""
     planner = MotionPlanner(motion.urdf, cell, {one.station: one.mortar for one in standing})
     planner.patience_s = motion.patience_s
     for name, position_mm in all_places(cell, {one.name: one for one in standing}, kinds).items():
@@ -132,13 +132,13 @@ def _planner(
 
 
 def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> list[tuple[str, str, float]]:
-    """From a mortar and to where its powder goes, with the spill limit [deg] of the heaviest load."""
+    """Station, destination and spill limit [deg] of the heaviest load, for every destination of a source's powder."""
     goes_to = [*(over_balance(cell, kind)[0] for kind in kinds), *_discarding(cell, source)]
     return [(source.station, place, _limit_deg(cell, source)) for place in dict.fromkeys(goes_to)]
 
 
 def _lacks(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], demand: Demand) -> SkillFailed | None:
-    """Why a mortar, where it stands, cannot be stood over, carried from, or scooped from; None where it can."""
+    """Why a mortar, where it stands, cannot be stood over, carried from, or scooped from; None if it can."""
     source = demand.source
     try:
         motion.set_geometry()
@@ -155,7 +155,7 @@ def _carried(motion: MotionPlanner, cell: CellSpec, source: Source, kinds: Seque
 
 
 def _beds_mg(demand: Demand) -> list[float]:
-    """What the plan begins with in a mortar, what a refill brings it to, and what it leaves."""
+    """What a mortar holds at the plan's start, after its largest refill, and at the end."""
     amount_mg = demand.source.amount_mg
     left_mg = max(amount_mg - demand.needed_mg, LEAST_BED_MG)
     return list(dict.fromkeys([amount_mg, demand.refilled_mg or amount_mg, left_mg]))
@@ -164,9 +164,9 @@ def _beds_mg(demand: Demand) -> list[float]:
 def _ways(
     motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
 ) -> None:
-    """All ways of a plan that scoops so much; SkillFailed for one that there is not."""
+    """Plan all ways of a plan. Raises SkillFailed if there is none for one of them."""
     motion.set_geometry()
-    for demand in scooped:  # mostly what fails, and soon known beside all ways between places
+    for demand in scooped:  # strokes first: they fail most often, and take less time than the ways between places
         _strokes(motion, cell, demand)
     pans = [(kind, over_balance(cell, kind)[0]) for kind in kinds]
     limits_deg = {demand.source.name: _limit_deg(cell, demand.source) for demand in scooped}
@@ -182,7 +182,7 @@ def _ways(
 
 
 def _limit_deg(cell: CellSpec, source: Source) -> float:
-    """Of the heaviest load."""
+    """The spill limit of the heaviest load [deg]."""
     return carrying_limit_deg(cell, source.powder, source.powder.load_limit_mg, MOUNTED_DIAMETER_MM)
 
 
@@ -193,7 +193,10 @@ def _discarding(cell: CellSpec, source: Source) -> list[str]:
 
 
 def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tuple[ContainerKind, str]]) -> None:
-    """A fresh sheet's cone goes everywhere but over a container: loads are carried in another."""
+    """Plan the ways of a fresh sheet's cone, if loads are carried in one of another size.
+
+    It goes everywhere except over a container.
+    """
     fresh_mm, over = cell.hand.options.start_diameter_mm, {place for _, place in pans}
     if fresh_mm == MOUNTED_DIAMETER_MM:
         return
@@ -205,7 +208,7 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
 
 
 def _strokes(motion: MotionPlanner, cell: CellSpec, demand: Demand) -> None:
-    """In a mortar the first strokes that may be made and the last; in a jar as many as should bring what is needed."""
+    """In a bowl, plan the first strokes that may be made and the last; in a jar, as many as bring what is needed."""
     if demand.source.mortar.corner_mm is not None:
         strokes_in_jar(motion, cell, demand)
         return
@@ -214,7 +217,10 @@ def _strokes(motion: MotionPlanner, cell: CellSpec, demand: Demand) -> None:
 
 
 def _strokes_there(motion: MotionPlanner, cell: CellSpec, demand: Demand, asked_mg: list[tuple[float, float]]) -> None:
-    """Those at one of several places, soon found: what fails of a bowl comes first in `asked_mg`, for the next one."""
+    """As `_strokes`, for one of several places, without long searches.
+
+    The case that fails is moved to the front of `asked_mg`, to be tried first at the next place.
+    """
     if demand.source.mortar.corner_mm is not None:
         strokes_in_jar(motion, cell, demand)
         return
@@ -227,7 +233,7 @@ def _strokes_there(motion: MotionPlanner, cell: CellSpec, demand: Demand, asked_
 
 
 def _asked_mg(demand: Demand) -> list[tuple[float, float]]:
-    """The beds of a bowl, and what is wanted of each."""
+    """The beds of a bowl, each with how much a scoop is to bring."""
     return list(product(_beds_mg(demand), wishes_mg(demand)))
 
 
@@ -240,9 +246,9 @@ def _stroke(
     *,
     at_length: bool = True,
 ) -> None:
-    """A stroke in some direction, and from its end to where loads are carried from.
+    """Plan a stroke in any direction, and the way from its end to where loads are carried from.
 
-    `at_length`: that is searched for longer where it is not soon found for any.
+    `at_length`: search longer for that way if no direction gives one quickly.
     """
     why, tried = "", list[Stroke]()
 
@@ -266,7 +272,7 @@ def _stroke(
 
 
 class _Elsewhere:
-    """Where all mortars that stand badly might stand instead, so that a plan has all its ways."""
+    """Finds places for all badly placed mortars with which a plan has all its ways."""
 
     def __init__(
         self,
@@ -283,7 +289,7 @@ class _Elsewhere:
         self._is_good = dict[Place, bool]()
 
     def said(self) -> str:
-        """These places, or that none that were tried would do; a sentence."""
+        """These places, or that none of those tried would do, as a sentence."""
         look_at = "look at `scuhand-bt reach --task scoop`"
         names = [f"'{one.source.station}'" for one in self._badly if not any(self._good(one, []))]
         if names:
@@ -296,7 +302,7 @@ class _Elsewhere:
         return f"Of the places that were tried for {' and '.join(names)} none leaves the arm all its ways: {look_at}"
 
     def _together(self, placed: Sequence[Place], left: Sequence[Demand]) -> Iterator[Sequence[Place]]:
-        """Places that are good for each by itself, and clear of each other."""
+        """Combinations of places that are good for each mortar by itself, and clear of each other."""
         if not left:
             yield placed
             return
@@ -305,9 +311,9 @@ class _Elsewhere:
             yield from self._together([*placed, place], others)
 
     def _good(self, demand: Demand, placed: Sequence[Place]) -> Iterator[Place]:
-        """Those for one mortar beside others that are placed: with what stands badly put aside it has its ways there.
+        """The places where one mortar, beside `placed` ones and without other badly placed ones, has its ways.
 
-        Its strokes are soon found, and it is in the way of no other place.
+        Only brief searches are made for its strokes, and it must not block any other place.
         """
         source = demand.source
         aside = {one.source.station for one in self._badly} - {source.station}
@@ -333,7 +339,7 @@ class _Elsewhere:
         return True
 
     def _do(self, moved: Sequence[Place]) -> bool:
-        """Whether with mortars at these places the plan has all its ways; with none moved it has not."""
+        """Whether the plan has all its ways with mortars at these places. Without a move it is known not to."""
         if not moved:
             return False
         cell = self._cell_with(moved, ())
@@ -346,7 +352,7 @@ class _Elsewhere:
         return True
 
     def _cell_with(self, moved: Sequence[Place], aside: Collection[str]) -> CellSpec:
-        """The cell without the stations that are put aside, and with these where they are moved to."""
+        """The cell with these stations moved, and without those put aside."""
         there = {place.station: place.really_mm for place in moved}
         stations = {
             name: station.model_copy(update={"position_mm": there.get(name, station.position_mm)})

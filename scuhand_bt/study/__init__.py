@@ -1,4 +1,4 @@
-"""Many dry runs of one recipe: what a plan's odds are, and what they depend on."""
+"""Studies: many dry runs of one recipe, to predict what a plan comes to and what that depends on (docs/study.md)."""
 
 from typing import TYPE_CHECKING
 

@@ -1,8 +1,8 @@
-"""Figures of a recipe and its lab, changed: a copy of the files with other values at some places.
+"""Changes figures of a recipe and its lab: a copy of the files with other values at some places.
 
-A place is named by its file and its keys, with dots between them: `recipe.samples.0.mass`,
-`powders.glass_beads.simulation.flow_coefficient`, `cell.balance.readability`. What is changed is read and checked as
-any recipe and any lab is.
+A place is named by its file and its keys, joined by dots: `recipe.samples.0.mass`,
+`powders.glass_beads.simulation.flow_coefficient`, `cell.balance.readability`. The copy is read and checked like any
+recipe and lab.
 """
 
 import hashlib
@@ -26,14 +26,14 @@ from scuhand_bt.run.resume import lab_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
-"""New values by place."""
+"""New values, by place."""
 
 FOLDERS = ("robot", "trees", "skills")
 FILES = {"powders": "robot/powders.yaml", "containers": "robot/containers.yaml", "cell": str(CELL_FILE)}
 
 
 def files_hash(recipe: Path, lab: Path) -> str:
-    """SHA-256 of a recipe, its tables and all that a run depends on in its lab, as they are written."""
+    """SHA-256 of a recipe, its tables and all files of its lab that a run depends on, as written."""
     text = recipe.read_text(encoding="utf-8")
     tables = {str(table.text): recipe.parent / str(table.text) for table in tables_named(text, str(recipe))}
     found = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in tables.items() if path.is_file()}
@@ -41,8 +41,8 @@ def files_hash(recipe: Path, lab: Path) -> str:
 
 
 def modules_hash(plant: str | None, lab: Path) -> str:
-    """SHA-256 of one's own modules that a plant (`module:Class`) and a lab are made of; empty for none."""
-    with suppress(OSError):  # the first dry run says what is wrong with it
+    """SHA-256 of the user's own modules behind a plant (`module:Class`) and a lab; "" if there are none."""
+    with suppress(OSError):  # the first dry run reports an unreadable lab
         if not (files := (plant_files(plant) if plant is not None else {}) | lab_modules(lab)):
             return ""
         return hashlib.sha256(json.dumps(digests(files), sort_keys=True).encode()).hexdigest()
@@ -51,9 +51,10 @@ def modules_hash(plant: str | None, lab: Path) -> str:
 
 @contextmanager
 def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, Path]]:
-    """A recipe and its lab with these changes, as files for a while: the very ones where nothing is changed.
+    """Temporary copies of a recipe and its lab with these changes; the originals if there are none.
 
-    Raises SourceError for a place that there is not. One that is raised with these files names those that they are of.
+    Raises SourceError for a place that does not exist. A SourceError raised while the copies exist is rewritten to
+    name the original files.
     """
     if not changes:
         yield recipe, lab
@@ -64,11 +65,11 @@ def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, P
             if (lab / name).is_dir():
                 shutil.copytree(lab / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
         here = lab.absolute()
-        for path in lab_modules(here).values():  # which a skill may import from beside these folders
+        for path in lab_modules(here).values():  # skills may import modules from elsewhere in the lab
             if path.is_relative_to(here) and not (at := copy / path.relative_to(here)).exists():
                 at.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(path, at)
-        real, of = recipe.parent.resolve(), lab.resolve()  # a path with `..` leads out of the copy
+        real, of = recipe.parent.resolve(), lab.resolve()  # as `..` would lead out of the copy
         beside = copy / (real.relative_to(of) if real.is_relative_to(of) else "recipes")
         beside.mkdir(parents=True, exist_ok=True)
         copied = beside / recipe.name
@@ -89,7 +90,7 @@ def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, P
 
 
 def _of_original(problem: Problem, originals: Iterable[tuple[Path, Path]], changes: Changes) -> Problem:
-    """A problem of a copy, told of the file that it is a copy of, and with what is changed there."""
+    """A problem in a copy, rewritten to name the original file and the changes."""
     file, message = problem.mark.file, problem.message
     for at, of in originals:
         file, message = (text.replace(f"{at}/", f"{of}/") for text in (file, message))
@@ -98,19 +99,19 @@ def _of_original(problem: Problem, originals: Iterable[tuple[Path, Path]], chang
 
 
 def with_value(text: str, place: str, value: Value) -> str:
-    """A file's text with another value at a place (`FILE.KEY.KEY`); all else stays as it is written.
+    """A file's text with another value at a place (`FILE.KEY.KEY`). Everything else keeps its exact text.
 
-    Raises SourceError for a place that there is not, or that cannot be changed by itself.
+    Raises SourceError for a place that does not exist, or that cannot be changed by itself.
     """
     node: Any = yaml.compose(text, yaml.BaseLoader)
     for key in place.split(".")[1:]:
         node = _below(node, key, place)
-        if text.startswith("&", node.start_mark.index):  # as where it is an alias: that is the node of its anchor
+        if text.startswith("&", node.start_mark.index):  # an alias is composed to its anchor's node, too
             raise _refused(
                 place, f"'{key}' has an anchor (&), and would change wherever its alias (*) is; write it out"
             )
     is_block = node.style in ("|", ">") if isinstance(node, yaml.ScalarNode) else not node.flow_style
-    if is_block:  # it ends where the next one begins
+    if is_block:  # its end mark is where the next node begins
         raise _refused(place, "it is written in lines of their own; name a value in it, or write it in one line")
     if node.start_mark.index == node.end_mark.index:
         raise _refused(place, "nothing is written there; write a value, which is then varied")
@@ -141,7 +142,7 @@ def _refused(place: str, what: str) -> SourceError:
 
 
 def file_of(place: str, recipe: Path, lab: Path) -> Path:
-    """The file that a place is in. Raises SourceError for a place that begins with none."""
+    """The file that a place is in. Raises SourceError if it does not begin with a file."""
     file, _, keys = place.partition(".")
     path = recipe if file == "recipe" else lab / FILES.get(file, "")
     if not path.is_file() or not keys:

@@ -1,8 +1,8 @@
-"""Trials on the workers of a Dask cluster, each of which has to have this very program.
+"""Runs trials on the workers of a Dask cluster. Each worker must have exactly this program.
 
-Workers come and go while a study goes on, so each trial asks the one that takes it. It goes there as bytes that nobody
-reads on the way: the scheduler needs no program of ours, and a worker that has none says so by an error of its own,
-where Dask would drop its connection and wait for it (distributed 2026.8).
+Workers come and go during a study, so the check is part of each trial. Calls are sent as bytes that only a worker
+unpickles. So the scheduler does not need this program, and a worker without it raises an error of its own, where Dask
+would drop the connection and wait (distributed 2026.8).
 """
 
 import logging
@@ -26,11 +26,11 @@ T = TypeVar("T")
 OURS = f"scuhand-bt {scuhand_bt.__version__}"
 GOES_ON = "the same command goes on with what was kept"
 LOOKS_S, ALONE_LOOKS = 1.0, 10
-"""It is looked so often whether the cluster has a worker; without one so many times, that is told."""
+"""How often it is checked that the cluster has a worker [s], and after how many checks without one that is reported."""
 
 
 class _Sent:
-    """A call that is made where it is unpickled."""
+    """A call that is executed when it is unpickled."""
 
     def __init__(self, call: bytes) -> None:
         self._call = call
@@ -40,7 +40,7 @@ class _Sent:
 
 
 def answer(program: str, call: bytes) -> Any:
-    """What a worker makes of a call by the program that has this source; ImportError where it has another one."""
+    """Execute a call on a worker. Raises ImportError if its program has another source than `program`."""
     if source_digest() != program:
         raise ImportError(f"it has {scuhand_bt.__version__} of another source")
     return pickle.loads(call)()
@@ -51,7 +51,7 @@ def _sent(call: Callable[[], Any]) -> bytes:
 
 
 class _Cluster(Executor):
-    """Dask's own executor, to which calls go as bytes."""
+    """Dask's own executor, with calls sent as bytes."""
 
     def __init__(self, dask: Executor) -> None:
         self._dask = dask
@@ -65,10 +65,10 @@ class _Cluster(Executor):
 
 @contextmanager
 def workers_of(address: str, tell: Callable[[str], None]) -> Iterator[Executor]:
-    """The workers of the Dask scheduler at an address. `tell` is told, in a thread of its own, that all have gone.
+    """The workers of the Dask scheduler at `address`. `tell` is called, in a thread of its own, if all have gone.
 
-    SourceError where Dask is not installed, does not answer, has no worker or goes away, and for every worker that has
-    not this program: before the first trial, or when one that has come later takes a trial.
+    Raises SourceError if Dask is not installed, does not answer, has no worker or goes away. Also for every worker
+    that does not have this program: before the first trial, or when one that came later takes a trial.
     """
     mark = Mark(f"--dask {address}", 0)
     try:
@@ -80,7 +80,7 @@ def workers_of(address: str, tell: Callable[[str], None]) -> Iterator[Executor]:
             f"no Dask scheduler: {error}; `pip install 'scuhand-bt[dask]'`, and start `dask scheduler` and workers"
         )
         raise SourceError([Problem(mark, problem)]) from None
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # of a lost cluster it tells by tracebacks
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # it logs tracebacks for a lost cluster
     try:
         with client:
             _require_workers(client, mark)
@@ -98,7 +98,7 @@ def workers_of(address: str, tell: Callable[[str], None]) -> Iterator[Executor]:
 
 @contextmanager
 def _watched(client: "Client", address: str, tell: Callable[[str], None]) -> Iterator[None]:
-    """Trials wait for ever for the next worker, and Dask says nothing of it."""
+    """Watch whether there are workers, as Dask waits for the next one forever and in silence."""
     is_over = Event()
 
     def look() -> None:
@@ -106,7 +106,7 @@ def _watched(client: "Client", address: str, tell: Callable[[str], None]) -> Ite
         while not is_over.wait(LOOKS_S):
             try:
                 alone = 0 if client.nthreads() else alone + 1
-            except (OSError, RuntimeError, CancelledError):  # the cluster was lost, which the trials tell
+            except (OSError, RuntimeError, CancelledError):  # the cluster was lost, which the trials report
                 return
             if alone == ALONE_LOOKS:
                 waits = f"the cluster has no worker any more: it goes on when one comes (`dask worker {address}`)"
@@ -131,7 +131,7 @@ def _require_workers(client: "Client", mark: Mark) -> None:
 
 
 def _require_same(client: "Client", mark: Mark) -> None:
-    """Every worker that is there has this program: without it one answers nothing, with another one otherwise."""
+    """Every present worker must have this program; without it no trial works, with another one results differ."""
     said = client.run(pickle.loads, _sent(tuple), on_error="return")
     others = {worker: there for worker, there in said.items() if isinstance(there, BaseException)}
     if others:

@@ -1,7 +1,7 @@
-"""One trial: a dry run that learns from no run, and leaves nothing behind.
+"""One trial: a dry run that uses nothing learnt from other runs, and leaves nothing behind.
 
-It gives the same figures in any process, whatever ran before it there. What costs time is made once in a process and
-kept: the lab, the plan, its motions.
+Its result does not depend on the process, nor on what ran there before. What takes time to make is kept within a
+process: lab, plan and motions.
 """
 
 import tempfile
@@ -35,7 +35,7 @@ SOME_CELL = f"{SomeCell.__module__}:{SomeCell.__name__}"
 
 
 def dry_run(setup: Setup, seed: int) -> Trial:
-    """One dry run. SourceError for a recipe, a lab, changes or physics that are wrong."""
+    """One dry run. Raises SourceError for a wrong recipe, lab, change or plant."""
     try:
         return _dry_run(setup, seed)
     except PlantError as error:
@@ -68,7 +68,7 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
             to = event.to if isinstance(event, Discarded) else None
             became = into(to) if to is not None and to in vessels else event.KIND
             before, now = became_mg[event.source][became], event.expected_mg
-            # What is kept for the next dose is mostly what was kept before.
+            # What is kept is mostly the same powder each time, so only the maximum counts.
             became_mg[event.source][became] = max(before, now) if isinstance(event, Kept) else before + now
     names = list(plan.recipe.sources)
     samples = tuple(
@@ -102,7 +102,7 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
 
 
 def _is_truly_good(one: SampleResult, sample: Sample) -> bool:
-    """Whether its containers hold what was to come into each, by the simulation; that tells no lots apart."""
+    """Whether its containers truly hold what they should, by the simulation, which does not tell lots apart."""
     if not one.doses:
         return one.is_good
     lots = {take.source.sheet_key for take in sample.takes}
@@ -119,11 +119,11 @@ def _is_truly_good(one: SampleResult, sample: Sample) -> bool:
 
 
 class _Told(BatchObserver):
-    """When each job began and a person was asked in it, and what has become of the sources' powder."""
+    """Records when each job began and when a person was asked in it, and what became of the sources' powder."""
 
     def __init__(self, session: Session) -> None:
         self._clock = session.cell.clock
-        self._job = session.plan.jobs[0].name  # what is asked before it is asked for it
+        self._job = session.plan.jobs[0].name  # questions before the first job count as the first job's
         self.began_s: dict[str, float] = {}
         self.asked_s = defaultdict[str, list[list[float]]](list)
         self._asked_by: dict[int | None, list[float]] = {}
@@ -154,13 +154,13 @@ class _Told(BatchObserver):
 
 @cache
 def _read_as(plant: str | None, lab: Path) -> str:
-    """The hash of one's own modules as this process has them: each is read once, whatever becomes of its file."""
+    """The hash of the user's own modules as this process has them: each is imported once, and then kept."""
     return modules_hash(plant, lab)
 
 
 @lru_cache(maxsize=1)
 def _as_written(lab: Path, files: str) -> tuple[Lab, dict[Hashable, MotionPlanner]]:
-    """A lab that has just these files, and its motions so far, by what stands where: for all draws of its recipe."""
+    """A lab with exactly these files, and its motions by geometry, shared by all draws that change only the recipe."""
     return load_lab(lab), {}
 
 
@@ -169,7 +169,7 @@ def _made(setup: Setup) -> tuple[Plan, Lab, MotionPlanner]:
     with changed(setup.recipe, setup.lab, setup.changes) as (recipe, folder):
         is_as_written = all(place.startswith("recipe.") for place, _ in setup.changes)
         lab, motions = _as_written(setup.lab, setup.files) if is_as_written and setup.files else (load_lab(folder), {})
-        # Its tables are beside it, in the copy; else its lab is the one that all draws have.
+        # The recipe's tables are beside it in the copy; in all else the lab is shared by all draws.
         loaded = load_recipe(recipe, replace(lab, folder=folder))
         plan = make_plan(loaded if setup.order is None else replace(loaded, order=setup.order), lab)
         stands = frozenset((one.station, one.mortar) for one in plan.recipe.sources.values())

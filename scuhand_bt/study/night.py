@@ -1,4 +1,4 @@
-"""What of a plan is done in hours in which nobody comes."""
+"""Which samples of a plan are done during hours in which nobody comes."""
 
 import math
 import re
@@ -14,12 +14,12 @@ from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.study.odds import Odds
 
 ONE_OF = 20
-"""A sample counts as done where all but one of so many runs would have done it."""
+"""A sample counts as done if at most one run in so many would not have done it."""
 
 
 @dataclass(frozen=True)
 class Night:
-    """From one time of the day until another, on the same day or the next."""
+    """From one time of day to another, on the same day or the next."""
 
     begins: datetime
     ends: datetime
@@ -29,29 +29,29 @@ class Night:
         return (self.ends - self.begins).total_seconds()
 
     def clock(self, after_s: float) -> str:
-        """The time of the day, so long after it began; with the days that have gone by, where it came before."""
+        """The time of day after so many seconds; with "(+N d)" if that is a day or more after the beginning."""
         at = self.begins + timedelta(seconds=after_s)
         days = (at.date() - self.begins.date()).days
         return f"{at:%H:%M}" + (f" (+{days} d)" if at >= self.begins + timedelta(days=1) else "")
 
     def by(self, done_s: float) -> str:
-        """The same of what is done by then: no minute that is told is too early."""
+        """As `clock`, rounded up to a minute: for times by which something is done."""
         return self.clock(60.0 * math.ceil(done_s / 60.0))
 
 
 @dataclass(frozen=True)
 class Fate:
-    """A sample of the night."""
+    """What becomes of a sample in the night."""
 
     sample: str
     done_s: float | None
-    """By when it is done in 19 of 20 nights; None for one that is not begun."""
+    """By when it is done in 19 of 20 nights [s]; None if it is not counted."""
     why: str | None
-    """Why it does not fit."""
+    """Why it is not done within the night; None if it is."""
 
 
 def read_night(text: str) -> Night:
-    """`20:00-08:00`; SourceError for anything else, and for one that ends when it begins."""
+    """Parse `20:00-08:00`. Raises SourceError for anything else, and if both times are equal."""
     found = re.fullmatch(r"\s*(\d{1,2}:\d\d)\s*[-–]\s*(\d{1,2}:\d\d)\s*", text)
     try:
         begins, ends = (datetime.strptime(part, "%H:%M") for part in found.groups()) if found else (None, None)
@@ -65,9 +65,9 @@ def read_night(text: str) -> Night:
 
 
 def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
-    """Each sample in its order: done by then, or why not. What needs a person stops all that comes after it.
+    """Each sample in order: done in time, or why not. A moment that needs a person stops everything after it.
 
-    None is done before those that come before it are, however few trials tell of it.
+    No sample is done before an earlier one, however few trials there are.
     """
     needed: dict[str, list[str]] = {}
     for person in plan.persons:
@@ -97,9 +97,9 @@ def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
 
 
 def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Plan | None:
-    """The recipe in that of its orders with which, by the plan's own forecast of each, most more samples are done.
+    """The plan in the order with which most samples are done, by each plan's own forecast; None if that is this one.
 
-    It is worth dry runs of its own: only these tell (`fates`).
+    Only dry runs of it can confirm that (`fates`).
     """
     slower = odds.duration_s.high / plan.duration_s if plan.duration_s > 0.0 else 1.0
 
@@ -116,7 +116,7 @@ def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Plan | None:
 
 
 def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Plan], Odds]) -> Iterator[str]:
-    """What a person is told of it. `tried` makes as many dry runs of another order, if one may do more samples."""
+    """The night in sentences. `tried` makes as many dry runs of another order, if one may do more samples."""
     found = list(fates(plan, odds, night))
     fit = [fate for fate in found if fate.why is None]
     hours = f"from {night.clock(0.0)} to {night.clock(night.lasts_s)} ({format_duration(night.lasts_s)})"

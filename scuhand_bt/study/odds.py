@@ -1,10 +1,10 @@
-"""What to expect of a run, by trials of it: how long it takes, how its samples come out, what it uses.
+"""What to expect of a run, estimated from trials: duration, results of samples, scoops and powder.
 
-Each trial has a cell of its own (`some_cell`). The interval of a duration is that of a normal distribution for the
-logarithm of one more run like these, widened by `MODEL_SHARE` for what persons, carousels and arms differ by: as cells
-of successive seeds lie evenly, few trials tell what runs differ by nearly as well as many. That of a mass is Student's
-t for the mass itself, widened by `MODEL_MASS_SHARE`.
-`benchmarks.forecasts` holds times and chances against runs on plants that no trial has had.
+Each trial has its own cell (`some_cell`). The method, and how well it predicts, are in docs/study.md, "How the figures
+are formed" and "Evidence". A duration's interval is that of one more run: normal in its logarithm, widened by
+`MODEL_SHARE`. As the cells of successive seeds are evenly spread, few trials estimate the spread nearly as well as
+many, and Student's t would be too wide. A mass's interval is Student's t for the mass itself, widened by
+`MODEL_MASS_SHARE`. `benchmarks.forecasts` compares the predictions with runs on plants that no trial has had.
 """
 
 import math
@@ -26,108 +26,107 @@ RECKONED = (
     "What is left is what each run reckons, by what its scoops should bring: no interval tells how far that is off. "
     "Powder used is the simulation's own."
 )
-"""How the masses of `Odds.leftovers_mg` and `Odds.used_mg` were come by, for whoever reads them beside each other."""
+"""How `Odds.leftovers_mg` and `Odds.used_mg` are obtained, for people who read them side by side."""
 CELLS = (
     "Each dry run has a cell of its own: its powders flow at half to twice what the lab's files say, its scoops bring "
     "three quarters to five quarters of what they should, and its balance is a third to four times as slow."
 )
-"""Why the intervals are as wide as they are, for whoever reads them."""
+"""Why the intervals are so wide, for people who read them."""
 COVERED = 0.9
-"""Of the intervals."""
+"""Coverage of the intervals."""
 MODEL_SHARE = 0.05
-"""Standard deviation of that, as a share of a time."""
+"""Additional relative standard deviation of a time, for what persons, carousels and arms differ by."""
 MODEL_MASS_SHARE = 0.005
-"""Likewise of a mass: of 48 sources of 24 recipes on plants whose physics shares nothing with the trials', 16 lost some
-milligrams more or less than Student's t of eight trials alone has, and 4 with this."""
+"""The same for a mass. Of 48 sources in 24 recipes, on plants that share no physics with the trials', 16 lay some
+milligrams outside the interval of Student's t with eight trials alone, and 4 outside this one."""
 FEWEST = 3
-"""Trials that tell an interval."""
+"""Fewer trials give no interval."""
 WIDE = 1.645
-"""Standard deviations that hold `COVERED` of a normal distribution."""
+"""Half-width of an interval that contains `COVERED` of a normal distribution [standard deviations]."""
 BATCH_COUNTS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
-"""Trials that the whole batch may count for, beside those of a sample's own kind: each as likely, before any trial."""
+"""How many trials of a sample's own kind the whole batch may count as; equally likely a priori."""
 RATES = 64
-"""Points of the batch's rate that are summed over, each as likely before any trial."""
+"""Number of grid points for the batch's success rate."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """What to expect of a figure: its median, and an interval; of fewer than `FEWEST` dry runs, which tell none, the
-    least and the greatest that they had."""
+    """A median and an interval; of fewer than `FEWEST` dry runs, the least and the greatest value."""
 
     low: float
     middle: float
     high: float
 
     def no_earlier_than(self, other: "Range") -> "Range":
-        """Each of the three at least the other's."""
+        """All three values raised to at least the other's."""
         return Range(max(self.low, other.low), max(self.middle, other.middle), max(self.high, other.high))
 
 
 @dataclass(frozen=True)
 class Chance:
-    """How likely a sample is in tolerance: by all trials of samples like it, with an interval."""
+    """The probability that a sample is in tolerance, with an interval, estimated from all trials."""
 
     probability: float
     low: float
     high: float
     tried: int
+    """Number of trials of samples like it."""
     good: int
-    """Of those that were tried."""
+    """How many of these were good."""
 
     @property
     def is_unlikely(self) -> bool:
-        """Whether it is to be warned of; that few were tried is no warning."""
+        """Whether to warn of it. Having few trials is no reason to warn."""
         return self.probability < LIKELY and self.good < self.tried
 
     @property
     def told(self) -> str:
-        """The probability and its interval, as a person reads them."""
+        """The probability and its interval, as text."""
         middle = format_below(self.probability, LIKELY) if self.is_unlikely else f"{self.probability:.0%}"
         return f"{middle} ({self.low:.0%} to {self.high:.0%})"
 
 
 @dataclass(frozen=True)
 class Odds:
-    """What a plan's trials came to."""
+    """The estimates from a plan's trials."""
 
     trials: int
     duration_s: Range
     began_s: Mapping[str, Range]
-    """When each job begins, by its name; of those that any trial has begun. None before one that comes before it,
-    however few trials have come as far."""
+    """When each job begins, by its name, if any trial has begun it. Never earlier than the job before it, however few
+    trials have come so far."""
     asked_s: Mapping[str, Range]
-    """When a person is first asked for something in a job, by its name; of those in which any trial has asked one."""
+    """When a person is first asked for something in a job, by its name, if any trial has asked."""
     moments_s: Mapping[str, Sequence[Range]]
-    """When each of the moments is that need a person by the plan, by the job's name; of those likewise. From the first
-    of what is asked at it, as to take a container off the pan and to put another one there, until the last."""
+    """When each moment of the plan that needs a person is, by the job's name, likewise: from the first to the last
+    request that belongs to it, such as taking a container off the pan and putting another one there."""
     ended: Mapping[str, int]
     """How many trials have come to the end of each job."""
     alone: Mapping[str, int]
-    """How many of these with nobody asked for anything until then."""
+    """In how many of these nobody was asked for anything until then."""
     stopped: Sequence[str]
-    """Why trials have stopped before their end: of each that has."""
+    """For each trial that stopped before its end: why."""
     samples: Mapping[str, Chance]
-    """Of every sample that any trial was asked for."""
+    """For every sample that any trial had."""
     asked: float
-    """Samples of a run, on average: trials may differ in them by what is varied."""
+    """Mean number of samples of a run; trials may differ in it by what is varied."""
     good: float
-    """Of these, how many are to be expected in tolerance."""
+    """Expected number of samples in tolerance."""
     scoops: Mapping[str, Range]
     """By source."""
     used_mg: Mapping[str, Range]
     leftovers_mg: Mapping[str, Mapping[str, Range]]
-    """By source and by what became of it, the same for each, the powder that was left in the cone after doses: what
-    these trials had, as how often any is left is no figure that lies evenly about another."""
+    """Powder left in the cone after doses, by source and by what became of it (the same keys for each source). This is
+    the range that the trials had, as such figures have no symmetric distribution."""
     codes: Mapping[str, float]
-    """How many samples of a run fail with a code, on average; the most frequent first."""
+    """Mean number of samples of a run that fail with a code, the most frequent first."""
     verdicts: Mapping[str, float]
-    """How many are not good without a failure, by what their weighings say, likewise; `in tolerance`: unconfirmed."""
+    """Mean number of samples that are not good without a failure, by verdict; `in tolerance` means unconfirmed."""
 
     def persons_s(self, plan: Plan) -> Iterator[tuple[PersonNeeded, Range | None]]:
-        """Every moment of the plan that needs a person, and when.
+        """Every moment of the plan that needs a person, and when it is; None if no trial knows.
 
-        Where no trial has asked for one in that job, when it begins, if any has begun it. None is earlier than one
-        that comes before it, however few trials tell of the two.
+        If no trial has asked in that job, it is when the job begins. No moment is earlier than the one before it.
         """
         before = Counter[str]()
         last = Range(0.0, 0.0, 0.0)
@@ -142,30 +141,30 @@ class Odds:
 
     @property
     def tells_intervals(self) -> bool:
-        """Whether the ranges are where `COVERED` of runs are to be expected, not only what so few trials had."""
+        """Whether ranges are intervals with coverage `COVERED`, and not just the extremes of very few trials."""
         return self.trials >= FEWEST
 
     @property
     def left(self) -> list[str]:
-        """What became of powder that was left in the cone, where any did."""
+        """What became of powder left in the cone: the kinds that occur."""
         by_source = self.leftovers_mg.values()
         return [kind for kind in next(iter(by_source), {}) if any(mg[kind].high > 0.0 for mg in by_source)]
 
     @property
     def not_good(self) -> dict[str, float]:
-        """How many samples of a run are not good, by what a person reads of it: `codes`, then `verdicts`."""
+        """Mean number of samples of a run that are not good, by a text for people: first `codes`, then `verdicts`."""
         words = {"in tolerance": "verdict 'in tolerance', not confirmed"}
         told = {words.get(one, f"verdict '{one}', no failure"): many for one, many in self.verdicts.items()}
         return {**self.codes, **told}
 
     @property
     def unlikely(self) -> list[str]:
-        """The samples that are to be warned of."""
+        """The samples to warn of."""
         return [name for name, chance in self.samples.items() if chance.is_unlikely]
 
 
 def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> Odds:
-    """The odds of a plan by its trials, at least one; `as_written`: what each sample asks for is the same in all."""
+    """Estimate from at least one trial of a plan. `as_written`: every sample asks for the same in all trials."""
     vessels = sorted({kind for trial in found for mg in trial.leftovers_mg.values() for kind in mg} - {*LEFTOVERS})
     first_asked_s = [min((one[0][0] for one in trial.asked_s.values()), default=math.inf) for trial in found]
     moments = Counter(person.job for person in plan.persons if person.job is not None)
@@ -209,7 +208,7 @@ def odds_of(plan: Plan, found: Sequence[Trial], *, as_written: bool = True) -> O
 
 
 def _ends_s(trial: Trial) -> dict[str, float]:
-    """When each job came to its end, by its name: as the next one began; not of one that stopped the run."""
+    """When each job ended, by its name: as the next one began. Without the job that stopped the run."""
     ends_s = dict(zip(trial.began_s, [*trial.began_s.values()][1:], strict=False))
     is_whole = all(one.id in trial.began_s for one in trial.samples)
     if is_whole and trial.exit_code in (ExitCode.OK, ExitCode.FLAGGED):
@@ -218,22 +217,23 @@ def _ends_s(trial: Trial) -> dict[str, float]:
 
 
 def _of_jobs(plan: Plan, times_s: Sequence[Mapping[str, float]]) -> dict[str, Range]:
-    """A time of each job, by trials; of those that any has."""
+    """A time of each job over all trials, for jobs that any trial has."""
     by_job = {job.name: [of[job.name] for of in times_s if job.name in of] for job in plan.jobs}
     return {job: _of_times(found) for job, found in by_job.items() if found}
 
 
 def _in_turn(times_s: Mapping[str, Range]) -> dict[str, Range]:
-    """None of them earlier than one before it."""
+    """Make each at least as late as the one before it."""
     last = Range(0.0, 0.0, 0.0)
     return {job: (last := found.no_earlier_than(last)) for job, found in times_s.items()}
 
 
 def _moments(many: int, asked_s: Sequence[Sequence[Sequence[float]]]) -> list[Range]:
-    """When each of so many moments of a job is, by when the actions of each trial that have asked in it did so.
+    """When each of a job's `many` moments is, from the requests of each trial.
 
-    They are those of the trials in which just so many actions asked. Where few are like that, as somebody was asked
-    about a failure, or a skill's forecast does not know, nobody can say which is which: each may be any of them.
+    Only trials in which exactly so many actions asked are used. If too few are like that, because somebody was asked
+    about a failure or a skill's forecast is wrong, requests cannot be assigned to moments. Then every moment gets the
+    whole span.
     """
     alike = [one for one in asked_s if len(one) == many]
     if len(alike) >= min(FEWEST, len(asked_s)):
@@ -242,13 +242,13 @@ def _moments(many: int, asked_s: Sequence[Sequence[Sequence[float]]]) -> list[Ra
 
 
 def _from_to(spans_s: Sequence[Sequence[float]]) -> Range:
-    """Of times from which until which something was: from when it begins until when it is over at the latest."""
+    """The span from the earliest begin to the latest end."""
     begins, ends = (_of_times(times) for times in zip(*spans_s, strict=True))
     return Range(begins.low, begins.middle, ends.high)
 
 
 def _of_times(times_s: Sequence[float]) -> Range:
-    """Of one more run like these: times differ by factors."""
+    """The interval of one more run. Durations vary by factors, so their logarithms are used."""
     if len(times_s) < FEWEST or min(times_s) <= 0.0:
         return _seen(times_s)
     logs, many = np.log(times_s), len(times_s)
@@ -258,7 +258,7 @@ def _of_times(times_s: Sequence[float]) -> Range:
 
 
 def _of_masses(masses_mg: Sequence[float]) -> Range:
-    """Of one more run like these, which lies beyond the least and the greatest of four two times in five."""
+    """The interval of one more run. With four trials, it lies outside their extremes two times in five."""
     if len(masses_mg) < FEWEST:
         return _seen(masses_mg)
     mean, many = float(np.mean(masses_mg)), len(masses_mg)
@@ -274,11 +274,9 @@ def _seen(values: Sequence[float]) -> Range:
 
 
 def _chances(plan: Plan, found: Sequence[Trial], *, as_written: bool) -> dict[str, Chance]:
-    """Samples that ask for the same are one kind, and the kinds of a recipe are alike as far as their trials are.
+    """The probability of each sample. Samples that ask for the same are one kind, and kinds are pooled (`_pooled`).
 
-    The rate of a kind is drawn from a beta distribution about the batch's, which is as narrow as the trials of all
-    kinds tell: eight trials of one mass tell little, and those of its neighbours tell of it what they have in common.
-    A sample that asks for another thing in each trial, or is in some of them only, is a kind by itself.
+    A sample that differs between trials, or is only in some of them, is a kind of its own.
     """
     kinds: dict[str, object] = {}
     if as_written:
@@ -292,14 +290,15 @@ def _chances(plan: Plan, found: Sequence[Trial], *, as_written: bool) -> dict[st
 
 
 def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
-    """The chance of one more sample of each kind, of which so many of so many were good.
+    """The probability that one more sample of each kind is good, given (good, tried) of each kind.
 
-    Beta-binomial kinds about a rate of which nothing is known (Jeffreys), with an unknown number of trials that the
-    batch counts for beside a kind's own: both are summed over on a grid (Gelman et al., Bayesian Data Analysis, 5.3).
+    Each kind's rate has a beta distribution about the batch's rate (Jeffreys prior), with an unknown concentration:
+    the number of trials that the batch counts as. Rate and concentration are summed over a grid (Gelman et al.,
+    Bayesian Data Analysis, 5.3). So kinds that come out alike support each other.
     """
     if not kinds:
         return []
-    # Thousands of kinds are as many as came out differently.
+    # Kinds with the same counts are computed once.
     came, which, many = np.unique(np.array(kinds), axis=0, return_inverse=True, return_counts=True)
     good, tried = came.T
     batch = betaincinv(0.5, 0.5, (np.arange(RATES) + 0.5) / RATES)[:, np.newaxis]
@@ -312,7 +311,7 @@ def _pooled(kinds: Sequence[tuple[int, int]]) -> list[Chance]:
     squares = means * (a + good + 1.0) / (counts + tried + 1.0)
     mean = np.sum(weights * means, axis=(0, 1))
     variance = np.sum(weights * squares, axis=(0, 1)) - mean * mean
-    # Of the interval a beta distribution with that mean and variance.
+    # The interval is that of a beta distribution with the same mean and variance.
     size = mean * (1.0 - mean) / variance - 1.0
     low, high = (
         betaincinv(size * mean, size * (1.0 - mean), share) for share in ((1.0 - COVERED) / 2.0, (1.0 + COVERED) / 2.0)

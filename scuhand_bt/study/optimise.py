@@ -1,11 +1,11 @@
-"""Figures that a study proposes: looked for on some seeds, judged on others, and shown as a diff.
+"""Searches better figures on some seeds, judges them on others, and shows them as a diff (docs/study.md).
 
-What is made least is the share of samples that are not in tolerance, and a little the time:
+The cost to minimise is the share of samples not in tolerance, plus a small share for time:
 
     1 - good + TIME_WORTH (duration / good) / (duration / good as written)
 
-by a tree-structured Parzen estimator (Bergstra et al., Advances in Neural Information Processing Systems 24, 2011;
-Optuna). All candidates have the same seeds.
+The search is a tree-structured Parzen estimator (Bergstra et al., Advances in Neural Information Processing Systems
+24, 2011; Optuna). All candidates run on the same seeds.
 """
 
 import difflib
@@ -26,21 +26,21 @@ from scuhand_bt.study.trial import Setup, Trial
 from scuhand_bt.study.vary import Between, Vary, check_setups
 
 TIME_WORTH = 0.1
-"""Half the time is worth one sample of twenty."""
+"""Weight of time in the cost: halving it is worth one sample of twenty."""
 SURE = 0.95
-"""How sure it is to be that a proposal is better: of twenty that change nothing, one is shown."""
+"""Confidence with which a proposal must be better: of twenty that change nothing, one is shown."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What came of some trials of one setup."""
+    """The result of some trials of one setup."""
 
     good: float
-    """Share of the samples that are truly in tolerance, and said to be."""
+    """Share of samples that are in tolerance both truly and by their weighings."""
     duration_s: float
 
     def cost(self, as_written: "Found") -> float:
-        """Runs that stop at a failure take little time: it counts by what they bring, and not where that is nothing."""
+        """The cost. Time counts per good sample, as runs that stop early are short; as unchanged if there is none."""
         if self.good == 0.0 or as_written.good == 0.0:
             return 1.0 - self.good + TIME_WORTH
         share = self.duration_s / self.good / (as_written.duration_s / as_written.good)
@@ -49,15 +49,15 @@ class Found:
 
 @dataclass(frozen=True)
 class Proposal:
-    """The best that was found, and what it is worth on seeds that it was not looked for on."""
+    """The best candidate, and its worth on seeds that the search did not use."""
 
     changes: Changes
     as_written: Found
     proposed: Found
     is_better: bool
-    """By more than the seeds that it was judged on differ by."""
+    """By more than chance explains."""
     refused: int = 0
-    """Candidates that no recipe or lab may have, each figure of which by itself one may."""
+    """Candidates that no recipe or lab may have, although each of their figures alone may be valid."""
 
 
 def optimised(
@@ -71,7 +71,7 @@ def optimised(
 ) -> Proposal:
     """The best of so many candidates on `seeds`, judged on `held_out`.
 
-    SourceError where Optuna is missing, or no recipe or lab may have any of them.
+    Raises SourceError if Optuna is missing, or if no candidate is valid.
     """
     try:
         import optuna
@@ -98,7 +98,7 @@ def optimised(
         asked.set_user_attr("changes", changes)
         try:
             check_setups([replace(setup, changes=changes)])
-        except SourceError as error:  # the same search comes to it each time: it would never end
+        except SourceError as error:  # must not end the search: it is deterministic, and would never get past this
             refused.append(error)
             search.tell(asked, state=optuna.trial.TrialState.FAIL)
         else:
@@ -111,10 +111,10 @@ def optimised(
 
 
 def is_better(before: Sequence[Trial], after: Sequence[Trial]) -> bool:
-    """Whether it costs less than before by more than chance makes: both have the same seeds, one by one.
+    """Whether the cost has fallen by more than chance explains; both have the same seeds, paired.
 
-    What chance makes is told by leaving out one seed after the other (the jackknife; Tukey, Annals of Mathematical
-    Statistics 29, 614, 1958) and Student's t. One seed tells nothing.
+    The uncertainty is estimated by leaving out one seed at a time (the jackknife; Tukey, Annals of Mathematical
+    Statistics 29, 614, 1958), and compared by Student's t. A single seed shows nothing.
     """
     many = len(before)
     if many < 2:
@@ -125,7 +125,7 @@ def is_better(before: Sequence[Trial], after: Sequence[Trial]) -> bool:
 
 
 def _saved(before: Sequence[Trial], after: Sequence[Trial]) -> float:
-    """What it costs less."""
+    """The reduction of the cost."""
     as_written = _found(before)
     return as_written.cost(as_written) - _found(after).cost(as_written)
 

@@ -1,4 +1,4 @@
-"""What runs trials: processes of this computer, or the workers of a Dask cluster."""
+"""What runs trials: processes on this computer, or the workers of a Dask cluster."""
 
 import multiprocessing
 import os
@@ -19,10 +19,10 @@ T = TypeVar("T")
 
 
 class _Processes(ProcessPoolExecutor):
-    """Its processes begin, with their imports, before a Ctrl-C reaches them: else each answers by a traceback."""
+    """A pool whose processes ignore Ctrl-C while they start and import; else each would print a traceback."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a process inherits it, until `_begin`
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by the process, until `_begin`
         try:
             return super().submit(fn, *args, **kwargs)
         finally:
@@ -33,11 +33,10 @@ class _Processes(ProcessPoolExecutor):
 def executor_of(
     workers: int | None, dask: str | None, tell: Callable[[str], None] = lambda what: None
 ) -> Iterator[Executor]:
-    """So many new processes, as many as there are cores if None; or the Dask scheduler at an address.
+    """`workers` new processes (None: as many as there are cores), or the Dask scheduler at the address `dask`.
 
-    `tell` is told, in another thread, what holds up a cluster that was not lost.
-
-    SourceError as `workers_of` it, and where one of the processes was killed.
+    `tell` is called, in another thread, if a cluster waits for workers. Raises SourceError as `workers_of`, and if a
+    process was killed.
     """
     if dask is None:
         many, spawn = workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")
@@ -55,10 +54,10 @@ def executor_of(
 
 @contextmanager
 def _ends_at_once(pool: Executor, **cancelling: bool) -> Iterator[None]:
-    """What breaks off waits for nothing that was not begun.
+    """If interrupted, do not wait for tasks that have not begun.
 
-    The pool drops that itself: where its tasks were cancelled one by one its own thread would break on them if a
-    process ended meanwhile, as each does at a Ctrl-C.
+    The pool itself drops them. If they were cancelled one by one, the pool's thread would break if a process ended
+    meanwhile, as all do at a Ctrl-C.
     """
     try:
         yield
@@ -68,9 +67,10 @@ def _ends_at_once(pool: Executor, **cancelling: bool) -> Iterator[None]:
 
 
 def _begin() -> None:
-    """In a process of the pool: it ends with its parent, and at a Ctrl-C, which a trial would take for its own.
+    """Runs first in each process of the pool: it is to end with its parent, and at a Ctrl-C.
 
-    Not where its parent goes on at one, as in the background of a shell's script.
+    A trial would handle Ctrl-C as its own run's. Not where the parent ignores it, as in the background of a shell
+    script.
     """
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -79,7 +79,7 @@ def _begin() -> None:
 
 
 def _end_with_parent() -> None:
-    """It would wait for ever for work from a program that was killed."""
+    """End when the parent is killed; else the process would wait forever for work."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -91,7 +91,7 @@ def _end_with_parent() -> None:
 
 
 def all_trials(tasks: Iterable[Task], executor: Executor, store: Store | None = None) -> Iterator[tuple[Task, Trial]]:
-    """Every task's trial: first those that were kept, then the others as they end, each of which is kept at once."""
+    """Every task's trial: first those already stored, then the others as they end, each stored at once."""
     wanted = dict.fromkeys(tasks)
     if store is not None:
         for task, kept in store.found(tuple(wanted)):

@@ -1,12 +1,14 @@
-"""A cell that is not quite the simulated one: its powders flow, its scoops bring and its balance answers otherwise.
+"""A simulated cell whose powders, scoops and balance differ from the lab's files, as a real cell's may.
 
-Nobody knows how, before a run. Each trial has one such cell, so that a plan's intervals hold what is not known. How far
-apart cells are is assumed, and held against plants of another family by `benchmarks.forecasts`: fresh powder of a lot
-that was never dosed flows at half to twice what was believed, its lumps depend on how it was stored, and balances on
-the market answer within 0.2 to 2 s. Of 17 strokes discrete elements lift 11 % more or less (root mean square) than the
-height field does (docs/scoop-yield.md); what a real one lifts nobody has weighed yet. What kind of lumps a powder comes
-in, no published figure tells well enough (docs/calibration.md), and a dose's last milligrams depend on it: each trial's
-are of one of three kinds.
+Nobody knows how before a run, so each trial has another such cell, and a plan's intervals include that uncertainty.
+The spreads are assumptions, tested against plants of another family by `benchmarks.forecasts`:
+
+* fresh powder of a lot never dosed before flows at half to twice what was believed;
+* its lumps depend on how it was stored. No published figure settles of which kind they are (docs/calibration.md), and
+  a dose's last milligrams depend on it, so each trial has one of three kinds;
+* balances on the market answer within 0.2 to 2 s;
+* in 17 strokes, discrete elements lift 11 % more or less (root mean square) than the height field does
+  (docs/scoop-yield.md). Nobody has weighed what a real one lifts.
 """
 
 import math
@@ -22,30 +24,30 @@ from scuhand_bt.sim.scoop import OurScoopYield
 from scuhand_bt.specs import Powder
 
 FLOW, LUMPS, LAG, NOISE, YIELD = 0.35, 0.5, 0.5, 0.3, 0.15
-"""Standard deviations of the logarithms: of a powder's flow and of its lumps' mean mass, whatever their kind, of the
-balance's lag and noise, and of what scoops bring."""
+"""Standard deviations of logarithms: of a powder's flow and its lumps' mean mass (of any kind), of the balance's lag
+and noise, and of what scoops bring."""
 KINDS = ("as written", "equal", "other growth")
-"""Of lumps, each as likely: of exponential masses that grow with the gap as the lab's file says; of one mass each; and
-exponential ones that grow with the gap where the file says that they do not, or the other way round."""
+"""Kinds of lumps, equally likely: exponentially distributed masses that grow with the gap as the lab's file says;
+equal masses; and exponential ones that grow if the file says that they do not, or the other way round."""
 GROWS = 3.0
-"""The exponent of those that grow: a lump is as wide as the gap."""
+"""The exponent of lumps that grow: a lump is as wide as the gap."""
 PRIMES = (5, 2, 3, 7, 11, 13)
-"""Their roots are the numbers: for lumps (that of 5 is even within a kind as well), lag, flow, dead diameter, noise,
-yield."""
+"""Their square roots are the irrational numbers of the sequence: for lumps (that of 5 is even within a kind as well),
+lag, flow, dead diameter, noise and yield."""
 SURE = 1e-6
-"""No cell is farther out than this share of all."""
+"""Cut-off of the distributions: no cell is farther out than this share on either side."""
 SLOWER = 1.5
-"""The median balance lags so many times as long as the one in the lab's files."""
+"""The median balance has so many times the lag that the lab's files give."""
 DEAD_MM = 0.03
-"""Of the opening at which a powder begins to flow."""
+"""Standard deviation of the opening at which a powder begins to flow [mm]."""
 
 
 class SomeCell:
-    """A plant (`--plant`) whose figures are drawn; `seed` says which.
+    """A plant (`--plant`) with random figures; `seed` says which.
 
-    Cells of successive seeds lie evenly, the first in the middle (Richtmyer's sequence: multiples of irrational
-    numbers, modulo 1): the few trials of a plan have every kind of lumps among them, and small and large ones, whereas
-    a few that are drawn by chance may all be of one kind.
+    Cells of successive seeds are spread evenly, the first one in the middle (Richtmyer's sequence: multiples of
+    irrational numbers, modulo 1). So even the few trials of a plan have every kind of lumps, small and large; with
+    independent draws all might be of one kind.
     """
 
     seed: ClassVar[int] = 0

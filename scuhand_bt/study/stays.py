@@ -1,4 +1,4 @@
-"""When persons come to a run: moments that need them soon after each other are one stay."""
+"""When persons come to a run: moments soon after each other are one stay (docs/unattended.md, "Who is needed")."""
 
 import math
 from collections.abc import Iterator
@@ -10,14 +10,14 @@ from scuhand_bt.study.night import Night
 from scuhand_bt.study.odds import Odds, Range
 
 APART_S = 1800.0
-"""Between two moments, from the beginning of the first: who is needed again so soon stays."""
+"""Two moments closer than this belong to one stay [s]."""
 START = Range(0.0, 0.0, 0.0)
-"""It needs somebody, too."""
+"""The start of a run, which needs somebody, too."""
 
 
 @dataclass(frozen=True)
 class Stay:
-    """Moments that need a person: how many, when the first of them comes at the earliest and the last at the latest."""
+    """Moments that need a person: their number, the earliest time of the first and the latest of the last."""
 
     moments: int
     from_s: float
@@ -25,7 +25,7 @@ class Stay:
 
 
 def stays(plan: Plan, odds: Odds) -> Iterator[Stay]:
-    """The stays of persons in their order, the start's first; of moments that any trial has come to."""
+    """The stays in order, the start's first. Moments that no trial has reached are left out."""
     moments, first, last = 0, START, START
     for _, when in odds.persons_s(plan):
         if when is None:
@@ -39,7 +39,7 @@ def stays(plan: Plan, odds: Odds) -> Iterator[Stay]:
 
 
 def stopped_in_words(odds: Odds) -> Iterator[str]:
-    """How many dry runs have stopped before their end, and why, for whoever is to go on with such a run."""
+    """How many dry runs stopped before their end, and why the first did, as a sentence."""
     if odds.stopped:
         yield (
             f"Of {counted(odds.trials, 'dry run')} {len(odds.stopped)} stopped before the end, which shortens the time "
@@ -48,13 +48,13 @@ def stopped_in_words(odds: Odds) -> Iterator[str]:
 
 
 def unforeseen(plan: Plan, odds: Odds) -> list[str]:
-    """The jobs that need no person by the plan, and in which dry runs asked one for something."""
+    """The jobs that need no person by the plan, but in which dry runs asked for one."""
     needed = {person.job for person in plan.persons}
     return [job for job in odds.asked_s if job not in needed]
 
 
 def unforeseen_in_words(plan: Plan, odds: Odds) -> Iterator[str]:
-    """Nothing where there is none."""
+    """The same as a sentence; none if there are no such jobs."""
     if jobs := unforeseen(plan, odds):
         yield (
             f"In dry runs a person was also asked for something at {listed(jobs, 'job')}, which need not come: what "
@@ -63,12 +63,12 @@ def unforeseen_in_words(plan: Plan, odds: Odds) -> Iterator[str]:
 
 
 def _by(after_s: float) -> str:
-    """So long after the start at the latest: where no seconds are told, no minute is too early."""
+    """A time by which something happens; rounded up to a minute if it is given without seconds."""
     return format_duration(after_s if after_s < 3600.0 else 60.0 * math.ceil(after_s / 60.0))
 
 
 def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]:
-    """How often somebody comes, and when: after the start, or by the clock of a night. Nothing for who never does."""
+    """How often somebody comes, and when: after the start, or by the clock of a night. Nothing if nobody has to."""
     found = list(stays(plan, odds))
     if not any(stay.moments for stay in found):
         return

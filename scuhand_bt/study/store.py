@@ -1,4 +1,4 @@
-"""Trials on disk, by what was tried and with which seed: a study that breaks off goes on, and can be enlarged."""
+"""Stores trials on disk by what was tried and the seed, so that a study can be continued and enlarged."""
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ from scuhand_bt.study.change import files_hash, modules_hash
 from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
 
 RECIPES_KEPT = 64
-"""Files of trials in the user's cache, those asked for last: a recipe that is gone or renamed asks no more."""
+"""How many recipes' trials the user's cache keeps, the last used ones. Files of deleted recipes thus disappear."""
 _SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table'"
 
@@ -29,7 +29,7 @@ class Store:
         self._files = _read_as(setup)
 
     def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
-        """Those of the tasks that were tried before, with the very files and program of today."""
+        """Those of the tasks that were tried before, with exactly today's files and program."""
         for setup, seed in tasks:
             row = self._database.execute(
                 "SELECT figures FROM trial WHERE tried = ? AND seed = ?", (self._key(setup), seed)
@@ -38,7 +38,7 @@ class Store:
                 yield (setup, seed), kept
 
     def keep(self, setup: Setup, trial: Trial) -> None:
-        """Write it down, at once."""
+        """Store a trial at once."""
         row = self._key(setup), trial.seed, json.dumps(asdict(trial))
         self._database.execute("INSERT OR REPLACE INTO trial VALUES (?, ?, ?)", row)
         self._database.commit()
@@ -50,7 +50,7 @@ class Store:
 
 
 class _Cache(Store):
-    """Trials that cost nothing but time: where they cannot be read or kept they are made again."""
+    """A store whose loss costs only time: trials that cannot be read are made again, errors in writing are ignored."""
 
     def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
         with suppress(sqlite3.Error):
@@ -62,7 +62,7 @@ class _Cache(Store):
 
 
 def _read(figures: str) -> Trial | None:
-    """A trial as it was kept; None of what is none, as in a damaged file: it is made again."""
+    """A stored trial; None if it is damaged, so that it is made again."""
     with suppress(ValueError, TypeError, KeyError):
         found = json.loads(figures)
         return replace(Trial(**found), samples=tuple(SampleTrial(**one) for one in found["samples"]))
@@ -70,7 +70,7 @@ def _read(figures: str) -> Trial | None:
 
 
 def _read_as(setup: Setup) -> str:
-    """All that a trial depends on and that is written somewhere: files, program, one's own modules."""
+    """Everything on disk that a trial depends on: files, program, the user's own modules."""
     files = setup.files or files_hash(setup.recipe, setup.lab)
     modules = setup.modules or modules_hash(setup.plant, setup.lab)
     return json.dumps([files, source_digest(), *([modules] if modules else [])])
@@ -78,7 +78,7 @@ def _read_as(setup: Setup) -> str:
 
 @contextmanager
 def open_store(path: Path, setup: Setup, kind: type[Store] = Store) -> Iterator[Store]:
-    """The store of a file, made where there is none; SourceError for one that cannot be used."""
+    """The store in a file, which is made if there is none. Raises SourceError if it cannot be used."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -95,9 +95,9 @@ def open_store(path: Path, setup: Setup, kind: type[Store] = Store) -> Iterator[
 
 @contextmanager
 def last_tried(setup: Setup) -> Iterator[Store | None]:
-    """The trials of this recipe, as all is written now, in the user's cache: those of what was written before go.
+    """The trials of this recipe, with today's files, in the user's cache. Those with earlier files are deleted.
 
-    None where there can be no such file.
+    None if the file cannot be made.
     """
     folder = user_cache_path("scuhand_bt") / "trials"
     which = f"{setup.recipe.resolve()}\0{setup.lab.resolve()}"
@@ -107,7 +107,7 @@ def last_tried(setup: Setup) -> Iterator[Store | None]:
         store = None
         with suppress(SourceError, OSError):
             store = opened.enter_context(open_store(path, setup, _Cache))
-            path.touch()  # also what lacks nothing was asked for last
+            path.touch()  # reading counts as use, too
             by_age = sorted(folder.glob("*.sqlite"), key=lambda one: one.stat().st_mtime, reverse=True)
             for gone in {*folder.glob(f"{of}-*.sqlite"), *by_age[RECIPES_KEPT:]} - {path}:
                 gone.unlink()

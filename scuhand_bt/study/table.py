@@ -1,4 +1,4 @@
-"""Trials as a table: a row for each sample of each, for other programs."""
+"""Trials as a table for other programs: one row for each sample of each trial."""
 
 import csv
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,7 @@ TABLE_KINDS = (".csv", ".parquet")
 
 
 def write_table(path: Path, trials: Sequence[tuple[Task, Trial]]) -> None:
-    """Write it as its suffix says. SourceError where that cannot be done, ImportError without pyarrow for Parquet."""
+    """Write the table in the format of its suffix. SourceError if that fails; ImportError without pyarrow."""
     found = list(_rows(trials))
     try:
         if path.suffix.lower() == ".parquet":
@@ -30,7 +30,7 @@ def write_table(path: Path, trials: Sequence[tuple[Task, Trial]]) -> None:
 
 
 def _write_parquet(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Numbers as such, and a column that is empty of the type that it has in other studies."""
+    """Columns of numbers are numeric, and an empty column has the type that it has in other studies."""
     import pyarrow
     from pyarrow import parquet
 

@@ -1,6 +1,6 @@
-"""A trial: one seeded dry run of a recipe, as the few figures that a plan or a study asks for.
+"""A trial: one seeded dry run of a recipe, reduced to the few figures that a plan or a study needs.
 
-It is made in a process of its own (`study/dry_run.py`), so that nothing here needs the robot's libraries.
+It runs in its own process (`study/dry_run.py`), so nothing here imports the robot's libraries.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,17 +12,17 @@ from typing import TypeAlias
 from scuhand_bt.study.change import Changes
 
 LEFTOVERS = ("kept", "returned", "discarded")
-"""What becomes of powder that is left in the cone, as the journal calls it."""
+"""What may become of powder left in the cone, by the kinds of journal entries."""
 
 
 def into(station: str) -> str:
-    """What is beside these, where a recipe has named a vessel that is not the waste bin."""
+    """The same for a vessel that a recipe has named for leftovers."""
     return f"into {station}"
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What is tried: a recipe in a lab, with changes of its figures, under a controller, on simulated physics."""
+    """What is tried: a recipe in a lab with changed figures, a controller and simulated physics."""
 
     recipe: Path
     lab: Path
@@ -31,23 +31,23 @@ class Setup:
     order: str | None = None
     """Another order of the samples than the recipe's."""
     plant: str | None = None
-    """Physics by `module:Class`; None: `some_cell`'s, another one for each seed."""
+    """Physics by `module:Class`; None: `some_cell`'s, which differ for each seed."""
     changes: Changes = ()
     files: str = ""
-    """What recipe and lab are to be (`files_hash`), wherever and whenever they are read; empty: whatever they are."""
+    """The hash (`files_hash`) that recipe and lab must have whenever they are read; "" for any."""
     modules: str = ""
-    """What one's own modules are to be that plant and lab are made of (`modules_hash`), likewise."""
+    """Likewise the hash of the user's own modules behind plant and lab (`modules_hash`)."""
 
 
 @dataclass(frozen=True)
 class SampleTrial:
-    """How a sample came out in one trial. Masses are None where nothing was dosed."""
+    """A sample's result in one trial. Masses are None if nothing was dosed."""
 
     id: str
     good: bool
     """In tolerance and confirmed, by its weighings."""
     truly_good: bool
-    """By the simulated masses, of all of its containers."""
+    """By the simulated masses in all of its containers."""
     verdict: str
     code: str | None
     target_mg: float | None
@@ -64,33 +64,33 @@ class Trial:
     exit_code: int
     duration_s: float
     began_s: Mapping[str, float]
-    """When each job of the plan began, by its name."""
+    """When each job of the plan began, by its name [s]."""
     samples: tuple[SampleTrial, ...]
     scoops: Mapping[str, int]
     """By source."""
     used_mg: Mapping[str, float]
-    """What each source has lost, by its name."""
+    """What each source has lost, by its name [mg]."""
     leftovers_mg: Mapping[str, Mapping[str, float]]
-    """By source, what was left in the cone after doses: returned, discarded, put away; of what was kept the most."""
+    """Powder left in the cone after doses, by source: totals returned, discarded or put away; the most kept."""
     asked_s: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
-    """When a person was first and last asked for something by each action that did so, by its job's name."""
+    """By job: the first and last time at which each action asked a person for something [s]."""
     stopped: str = ""
-    """Why it stopped before its end; empty where it came to that."""
+    """Why it stopped before its end; "" if it did not."""
 
 
 Task: TypeAlias = tuple[Setup, int]
-"""What is tried, and its seed."""
+"""What is tried, and the seed."""
 
 
 def trial(setup: Setup, seed: int) -> Trial:
-    """One dry run. SourceError for a recipe, a lab or changes that are wrong."""
+    """One dry run. Raises SourceError for a wrong recipe, lab or change."""
     from scuhand_bt.study.dry_run import dry_run
 
     return dry_run(setup, seed)
 
 
 def trials(tasks: Iterable[Task], executor: Executor) -> Iterator[tuple[Task, Trial]]:
-    """Every task's trial, as they end, by whatever runs them: a pool of processes, or Dask's."""
+    """Every task's trial as it ends, run by a pool of processes or by Dask."""
     waiting = {executor.submit(trial, setup, seed): (setup, seed) for setup, seed in tasks}
     for done in as_completed(waiting):
         yield waiting[done], done.result()

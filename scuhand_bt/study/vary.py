@@ -1,7 +1,7 @@
-"""What a study varies: figures of the recipe and its lab, over ranges or lists, by a design.
+"""What a study varies: figures of the recipe and its lab, over ranges or lists, by an experimental design.
 
 design: latin_hypercube      # or sobol, or grid
-draws: 64                    # of a grid the steps of each range; of sobol a power of two
+draws: 64                    # grid: steps of each range; sobol: a power of two
 vary:
   powders.glass_beads.simulation.flow_coefficient: {from: 50, to: 100}
   recipe.samples.0.mass: {from: 20 mg, to: 60 mg}
@@ -35,7 +35,7 @@ _NUMBER = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.
 
 
 class Between(Spec):
-    """A range: numbers with the same unit, or none."""
+    """A range between two numbers of the same unit, or without one."""
 
     from_: Annotated[str, Field(alias="from")]
     to: str
@@ -55,7 +55,7 @@ class Between(Spec):
         return self
 
     def at(self, share: float) -> str:
-        """The value at a share of the way."""
+        """The value at a share (0 to 1) of the range."""
         low, high = _NUMBER.fullmatch(self.from_.strip()), _NUMBER.fullmatch(self.to.strip())
         assert low is not None
         assert high is not None
@@ -76,7 +76,7 @@ Given: TypeAlias = Annotated[
 
 
 class Vary(Spec):
-    """What is varied, and how."""
+    """What is varied, and by which design."""
 
     design: Literal["latin_hypercube", "sobol", "grid"] = "latin_hypercube"
     draws: Annotated[int, Field(gt=0, le=MOST_DRAWS)] = 64
@@ -97,10 +97,10 @@ class Vary(Spec):
         return draws
 
     def changes(self, seed: int = 0) -> list[Changes]:
-        """The draws, each with a value for every place; the same ones for the same seed.
+        """The draws, each with a value for every place; the same for the same seed.
 
-        Of `sobol`, (d + 2) n draws of d places: the matrices A and B, and A with each column of B in turn (Saltelli et
-        al., Comput. Phys. Commun. 181, 259, 2010, with scipy.stats.sobol_indices' order).
+        For `sobol` these are (d + 2) n draws of d places: the matrices A and B, and A with each column of B in turn
+        (Saltelli et al., Comput. Phys. Commun. 181, 259, 2010; in the order of scipy.stats.sobol_indices).
         """
         if self.design == "grid":
             steps = [self._steps(given) for given in self.vary.values()]
@@ -117,7 +117,7 @@ class Vary(Spec):
 
     @property
     def points(self) -> int:
-        """Of a grid."""
+        """Number of points of a grid."""
         return math.prod(len(given) if isinstance(given, list) else self.draws for given in self.vary.values())
 
     def _steps(self, given: Between | list[str]) -> list[str]:
@@ -130,7 +130,7 @@ class Vary(Spec):
         )
 
     def ends(self) -> list[Changes]:
-        """The two ends of each range and each name of each list, with all else as it is written."""
+        """Both ends of each range and each item of each list, with everything else as written."""
         return [
             ((place, value),)
             for place, given in self.vary.items()
@@ -138,7 +138,7 @@ class Vary(Spec):
         ]
 
     def indices(self, figures: Sequence[float]) -> Mapping[str, tuple[float, float]]:
-        """Of a figure that each draw of `sobol` came to: first-order and total Sobol indices by place."""
+        """First-order and total Sobol indices of a figure by place, from its values for the draws of `sobol`."""
         values, places = np.asarray(figures, dtype=float).reshape(-1, self.draws), len(self.vary)
         if np.ptp(values) == 0.0:
             return dict.fromkeys(self.vary, (0.0, 0.0))
@@ -157,7 +157,7 @@ class Vary(Spec):
 
 
 def read_vary(path: Path, recipe: Path, lab: Path) -> Vary:
-    """Read and check such a file against what it varies; SourceError with every mistake found."""
+    """Read such a file and check it against what it varies. Raises SourceError with every mistake found."""
     problems = Problems()
     root = load(path, "a file of what to vary")
     vary = validate(Vary, root, problems, "such as {vary: {cell.balance.readability: [0.1 mg, 1 mg]}},")
@@ -176,7 +176,7 @@ def read_vary(path: Path, recipe: Path, lab: Path) -> Vary:
 
 
 def ends_of(draws: Sequence[Setup]) -> list[Setup]:
-    """The draws with the least and the greatest of each place's numbers, and with each of its names."""
+    """The draws with the least and the greatest number of each place, and one with each of its names."""
     values = [dict(draw.changes) for draw in draws]
     ends: dict[Setup, None] = {}
     for place in values[0]:
@@ -189,10 +189,10 @@ def ends_of(draws: Sequence[Setup]) -> list[Setup]:
 
 
 def check_setups(setups: Sequence[Setup]) -> None:
-    """Plan each. SourceError for all that is wrong with them.
+    """Plan each setup. Raises SourceError with everything that is wrong with them.
 
-    Else it would end a study when that one is come to, and what was tried until then is not of the file that is written
-    instead.
+    Without this, a study would end only when it comes to the wrong one, and its trials could not be reused after the
+    file is corrected.
     """
     problems: list[Problem] = []
     for setup in setups:
@@ -207,7 +207,7 @@ def check_setups(setups: Sequence[Setup]) -> None:
 
 
 def goes_with(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, float]:
-    """Spearman's rank correlation of a figure with each place that has numbers; 0 where nothing changes."""
+    """Spearman's rank correlation of a figure with each numeric place; 0 if one of them is constant."""
     found: dict[str, float] = {}
     for place in dict(draws[0].changes) if draws else ():
         values = _numbers([str(dict(draw.changes)[place]) for draw in draws])
@@ -218,7 +218,7 @@ def goes_with(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, 
 
 
 def means_of(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, Mapping[str, float]]:
-    """The mean of a figure with each value of each place that has names, and no numbers."""
+    """The mean of a figure for each value of each place that has names."""
     found: dict[str, dict[str, float]] = {}
     for place in dict(draws[0].changes) if draws else ():
         names = [str(dict(draw.changes)[place]) for draw in draws]
@@ -231,7 +231,7 @@ def means_of(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, M
 
 
 def _numbers(texts: Sequence[str]) -> list[float] | None:
-    """Values as numbers of one unit; None for what is none."""
+    """The values as numbers of one unit; None if they are not."""
     found = [_NUMBER.fullmatch(text.strip()) for text in texts]
     if len({match and match[2].strip() for match in found}) == 1:
         return [float(match[1]) for match in found if match is not None] or None

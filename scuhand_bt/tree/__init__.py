@@ -1,1 +1,1 @@
-"""Workflows: their grammar, the static check of every wire, and the py_trees nodes they are built into."""
+"""Workflows: their grammar, the static check of every wire, and the py_trees nodes that they are built into."""

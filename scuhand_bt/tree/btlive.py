@@ -1,7 +1,7 @@
-"""A job's tree as a running BehaviorTree.CPP 4 shows its own: instantiated, every node with its number.
+"""A job's tree in the form that a running BehaviorTree.CPP 4 sends to Groot2: instantiated, with every node numbered.
 
-Each call of a workflow has a `BehaviorTree` of its own, named by `_fullpath`, and every node, the `SubTree` of a call
-among them, a `_uid` from 1, each before what is below it. The model names the format's own nodes, too.
+Each call of a workflow has its own `BehaviorTree`, named by `_fullpath`. Every node, `SubTree` included, has a `_uid`
+from 1, in depth-first order. The model also declares the format's built-in nodes.
 """
 
 from copy import deepcopy
@@ -13,7 +13,7 @@ from scuhand_bt.tree.btxml import IF, to_xml
 from scuhand_bt.tree.library import Library
 
 CONDITION, FILLERS = "ScriptCondition", ("AlwaysSuccess", "AlwaysFailure")
-"""Nodes that only the format has: what an `if` asks, and the way of an `if` or a `switch` that has none."""
+"""Nodes that only the format has: the condition of an `if`, and the filler for a missing branch of `if` or `switch`."""
 _PORTS: dict[str, tuple[str, dict[str, str]]] = {
     **dict.fromkeys(("Sequence", "Fallback", "ReactiveSequence", IF), ("Control", {})),
     "Parallel": ("Control", {"success_count": "int", "failure_count": "int"}),
@@ -29,25 +29,25 @@ _PORTS: dict[str, tuple[str, dict[str, str]]] = {
 
 @dataclass(frozen=True)
 class LiveNode:
-    """A node of the file: which of ours it is, counted from the root in the same order, from 0."""
+    """A node of the file, and the index of ours that it stands for (depth-first from the root, from 0)."""
 
     number: int
     only_there: str = ""
-    """Of a node that only the format has, which one; `number` is then the `if`'s or the `switch`'s."""
+    """For a node that only the format has, its kind; `number` is then that of its `if` or `switch`."""
 
 
 @dataclass(frozen=True)
 class LiveTree:
-    """The file, its nodes in the order of their numbers (the first is 1), and the workflows that are called."""
+    """The file, its nodes in the order of their `_uid` (from 1), and the calls of workflows."""
 
     xml: str
     nodes: tuple[LiveNode, ...]
     scopes: tuple[str, ...]
-    """By what the format calls each call's values: the first is the job's own workflow, the others by their paths."""
+    """The format's name for the values of each call: first the job's own workflow, then the others by their paths."""
 
 
 def live_tree(library: Library, name: str) -> LiveTree:
-    """A checked workflow as it runs. SourceError for what has no word in the format."""
+    """A checked workflow as it runs. Raises SourceError for what the format cannot express."""
     source = ElementTree.fromstring(to_xml(library, name).encode())
     instances = _Instances({tree.get("ID", ""): tree for tree in source.iterfind("BehaviorTree")})
     instances.add(name, "", -1)
@@ -70,7 +70,7 @@ class _Instances:
         self._ours = 0
 
     def add(self, name: str, path: str, above: int) -> None:
-        """A call of a workflow, and all below it."""
+        """Add a call of a workflow, and everything below it."""
         tree = deepcopy(self._of[name])
         tree.set("_fullpath", path)
         self.trees.append(tree)

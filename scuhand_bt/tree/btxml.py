@@ -1,9 +1,8 @@
-"""Workflows as BehaviorTree.CPP 4 writes them (XML, for Groot2 and its kin), and back.
+"""Converts workflows to BehaviorTree.CPP 4 XML, as Groot2 and similar editors use it, and back.
 
-A workflow becomes a `BehaviorTree`, and so does every workflow that it calls; skills are actions, conditions are
-conditions, both with their ports in the `TreeNodesModel`. Quantities are texts with their units. What the format has
-no word for stands in attributes that begin with `_scuhand_`, which BehaviorTree.CPP ignores: the codes of a retry, the
-text of a duration.
+A workflow and every workflow that it calls become a `BehaviorTree` each. Skills become actions and conditions, with
+their ports in the `TreeNodesModel`. Quantities are texts with units. What the format cannot express is kept in
+attributes that begin with `_scuhand_`, which BehaviorTree.CPP ignores.
 
     $mass            {mass}
     as: dose         result="{dose}"
@@ -18,10 +17,10 @@ text of a duration.
     optional         ForceSuccess
     fallback: {on}   Fallback _scuhand_on
     if               IfThenElse; its first child is a ScriptCondition with _scuhand_when
-    switch           Switch2 to Switch6; AlwaysFailure stands for what it has no case for
-    for_each         LoopString of the first of its lists, _scuhand_items
+    switch           Switch2 to Switch6; AlwaysFailure if there is no `otherwise`
+    for_each         LoopString over the first of its lists, _scuhand_items
 
-What is worked out of several values ($mass - $a.dispensed) stands as its text.
+An expression ($mass - $a.dispensed) is written as its text.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -54,11 +53,11 @@ DECORATORS = {
 WHILE, LOOP, IF, ELSE, NO_CASE = "ReactiveSequence", "LoopString", "IfThenElse", "AlwaysSuccess", "AlwaysFailure"
 MOST_CASES = 6
 TYPES = {"Integer": "int", "Number": "double", "Flag": "bool"}
-"""Of ports; everything else is a text."""
+"""Types of ports; everything else is a string."""
 
 
 def to_xml(library: Library, name: str) -> str:
-    """A checked workflow and all that it calls, as one file."""
+    """A checked workflow and all that it calls, as one file. SourceError for what the format cannot express."""
     root = Element("root", BTCPP_format="4", main_tree_to_execute=name)
     workflows = list(dict.fromkeys(_reached(library, name)))
     for each in workflows:
@@ -165,7 +164,10 @@ def _call(parent: Element, node: Call, library: Library) -> None:
 
 
 def _text(argument: Argument, wire: WireType | None = None) -> str:
-    """A value as an attribute; a subtree takes a number that looks like an integer for one."""
+    """A value as the text of an attribute.
+
+    A `Number` in a call of a workflow gets ".0": a subtree would take "5" as an integer.
+    """
     if isinstance(argument, Reference):
         return "{" + str(argument)[1:] + "}"
     if isinstance(argument, Expression):
@@ -222,7 +224,7 @@ def _model_of_workflow(model: Element, workflow: Workflow) -> None:
 
 
 def from_xml(text: str, file: str) -> dict[str, str]:
-    """The workflows of such a file, each as the text of its YAML file; SourceError for what is none of ours."""
+    """The workflows of such a file by name, each as the text of its YAML file. SourceError for what is not ours."""
     if "<!" in text.replace("<!--", ""):
         raise SourceError([Problem(Mark(file), "has a document type or entities, which are not accepted")])
     try:
@@ -289,7 +291,7 @@ def _read(node: Element, file: str) -> dict[str, Any]:
 
 
 def _read_chosen(node: Element, file: str) -> dict[str, Any]:
-    """An `if`, a `switch` or a `for_each`."""
+    """Read an `if`, a `switch` or a `for_each`."""
     first, last = node[0] if len(node) else None, node[-1] if len(node) else None
     if first is None or last is None or (node.tag == IF and len(node) < 2):
         raise SourceError([Problem(Mark(file), f"{node.tag} has {len(node)} children; it takes more")])

@@ -1,4 +1,4 @@
-"""From a checked workflow and its inputs to one small tree of py_trees nodes."""
+"""Builds the py_trees tree of a job from a checked workflow and its inputs."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -31,9 +31,9 @@ from scuhand_bt.yaml_source import Node
 
 
 class Scope:
-    """The named values of one call of a workflow; within a `for_each` also those of its items.
+    """The named values of one call of a workflow; within a `for_each` also the items of the current round.
 
-    `rounds` are those of the loops about it, also about the workflow's call.
+    `rounds` are those of all loops around it, including loops around the workflow's call.
     """
 
     def __init__(self, values: Values, outer: "Scope | None" = None, rounds: tuple[Round, ...] = ()) -> None:
@@ -42,7 +42,7 @@ class Scope:
         self._outer = outer
 
     def read(self, value: Value) -> Any:
-        """What a reference or an expression comes to now. SkillFailed workflow.bad_value for what comes to nothing."""
+        """The current value of a reference or expression. Raises SkillFailed workflow.bad_value if it has none."""
         if not isinstance(value, Reference):
             try:
                 return value.value(self.read)
@@ -54,14 +54,14 @@ class Scope:
         return found
 
     def keep(self, name: str, value: Any) -> None:
-        """A result: it is the workflow's, also where it comes in a loop."""
+        """Store a result. It belongs to the workflow, even if it is set within a loop."""
         if self._outer is not None:
             self._outer.keep(name, value)
         else:
             self.values[name] = value
 
     def has(self, name: str) -> bool:
-        """Whether there is a value of this name yet."""
+        """Whether this name has a value yet."""
         return name in self.values or (self._outer is not None and self._outer.has(name))
 
     def _named(self, name: str) -> Any:
@@ -69,13 +69,13 @@ class Scope:
 
 
 class Tree:
-    """A job's tree: its root, and the result of its workflow once the root has succeeded."""
+    """A job's tree: its root, and the workflow's result once the root has succeeded."""
 
     def __init__(self, workflow: Workflow, inputs: Mapping[str, Any], library: Library, shared: Ticking) -> None:
         self.workflow, self.library = workflow, library
         builder = _Builder(library, shared)
         self.scopes = builder.scopes
-        """The values of the workflow and of all those that it calls, in the order of the tree."""
+        """The values of the workflow and of every workflow that it calls, in the order of the tree."""
         self.scopes.append(Scope(bound_inputs(workflow, inputs, library)))
         self.root = builder.build(workflow.tree, self.scopes[0], workflow.name)
 
@@ -87,7 +87,7 @@ class Tree:
 def bound_inputs(
     workflow: Workflow, given: Mapping[str, Any], library: Library, unknown: Collection[str] = ()
 ) -> Values:
-    """A workflow's inputs: what is given, else its defaults; none for those given a value that is `unknown` yet."""
+    """A workflow's inputs: what is given, else the default. Those in `unknown` get no default."""
     values = dict(given)
     for declared in workflow.inputs.values():
         if declared.name not in (*values, *unknown) and declared.default is not None:
@@ -96,7 +96,10 @@ def bound_inputs(
 
 
 def chosen_case(node: Choice, scope: Scope, library: Library) -> int | None:
-    """Which of a choice's ways is gone; None for none of an `if`. SkillFailed workflow.bad_value for no case."""
+    """The index of the branch that an `if` or `switch` takes; None if an `if` takes none.
+
+    Raises SkillFailed workflow.bad_value if a `switch` has no case for the value.
+    """
     by, wire = node.argument, PARAMETERS["when"] if node.kind == "if" else library.chosen_by[node.mark]
     value = literal("when", wire, by, library) if isinstance(by, Node) else scope.read(by)
     for number, case in enumerate(node.cases):

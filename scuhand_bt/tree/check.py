@@ -1,4 +1,4 @@
-"""The static check of workflows: every wire's type, every name, every device, before anything runs."""
+"""The static check of workflows: every name, every wire's type and every device, before anything runs."""
 
 from collections.abc import Iterable, Mapping
 from functools import partial
@@ -17,14 +17,14 @@ from scuhand_bt.tree.workflow import Argument, Call, Choice, Decorator, Input, T
 from scuhand_bt.yaml_source import Node, Scalar, describe
 
 RECORDED = (*QUANTITIES, "Number", "Integer", "Text", "Flag")
-"""Types of what can stand in a sample's row."""
+"""Types of values that a sample's row can hold."""
 MAX_TREE_NODES = 5000
 CALLED = ("skill", "workflow")
-"""What a node calls by its name."""
+"""The kinds of things that a node can call by name."""
 
 
 def check_workflows(library: Library, names: Iterable[str], problems: Problems) -> None:
-    """Check the named workflows and all that they call."""
+    """Check the named workflows and everything that they call."""
     checker = _Checker(library, problems)
     for name in names:
         checker.result_of(name)
@@ -40,14 +40,14 @@ class _Checker:
         self._calling: list[str] = []
         self._is_whole = True
         self._inputs: Mapping[str, Input] = {}
-        """Of the workflow that is checked now."""
+        """Inputs of the workflow that is being checked."""
         self._items: frozenset[str] = frozenset()
-        """Names of items of the lists that are gone through here."""
+        """Names of the loop items that are in scope."""
         self._types: dict[str, WireType | None] = {}
-        """By name; None where what gives the value is wrong, and reported, itself."""
+        """By name; None if the node that sets the value is itself wrong, and reported."""
 
     def result_of(self, name: str, caller: Mark | None = None) -> WireType | None:
-        """Check a workflow once, and say what it returns; None where something is wrong with what that comes from."""
+        """Check a workflow (once) and return its result's type; None if a reported mistake makes that unknown."""
         if name in self._results:
             return self._results[name]
         workflow = self._library.workflows[name]
@@ -86,11 +86,11 @@ class _Checker:
             self._problems.add(
                 workflow.mark, what, "the workflows it calls are counted each time; use 'repeat'", code="too-large"
             )
-            size = 0  # said once, not again by every caller
+            size = 0  # so that callers are not reported too
         self._sizes[workflow.name] = size
 
     def _check(self, node: TreeNode, defined: frozenset[str]) -> frozenset[str]:
-        """Check a node; returns the names that certainly have a value once it has succeeded."""
+        """Check a node; returns the names that are certain to have a value once it has succeeded."""
         if isinstance(node, Call):
             return self._check_call(node, defined)
         if isinstance(node, Decorator):
@@ -137,7 +137,7 @@ class _Checker:
                 self._problems.add(mark, what, unknown=code, known=self._codes, code="unknown-code")
 
     def _check_for_each(self, node: Decorator, defined: frozenset[str]) -> frozenset[str]:
-        """The items have their names below it alone; it may have none, and then sets nothing."""
+        """The items have names only below the loop. A list may be empty, so the loop sets nothing for certain."""
         own: set[str] = set()
         for name, argument in node.arguments.items():
             given = None
@@ -163,7 +163,7 @@ class _Checker:
         return defined
 
     def _check_choice(self, node: Choice, defined: frozenset[str]) -> frozenset[str]:
-        """The names that are certain after each of its ways; after an `if` without `else`, those before it."""
+        """Returns the names that are certain after every branch; an `if` without `else` may also take none."""
         if node.kind == "if":
             self._check_argument("when", PARAMETERS["when"], node.argument, defined)
         else:
@@ -190,7 +190,7 @@ class _Checker:
                     self._check_literal("cases", wire, case.value)
 
     def _check_record(self, node: Call, defined: frozenset[str]) -> frozenset[str]:
-        """Whatever is given to it has a type that can stand in a row, which is kept for who runs it."""
+        """Everything that `record` is given must have a type that a row can hold. Keeps these types for the run."""
         wires: dict[str, WireType] = {}
         for name, argument in node.arguments.items():
             if isinstance(argument, Node):
@@ -226,7 +226,7 @@ class _Checker:
                 known=known,
                 code="unknown-name",
             )
-        if not is_known or (callee is not None and not callee.is_whole):  # what it takes and gives is not known
+        if not is_known or (callee is not None and not callee.is_whole):  # its parameters and result are not known
             for argument in node.arguments.values():
                 if not isinstance(argument, Node):
                     self._type_of_value(argument, defined)
@@ -261,7 +261,7 @@ class _Checker:
         return self._keep(node, result, defined)
 
     def _keep(self, node: Call, result: WireType | None, defined: frozenset[str]) -> frozenset[str]:
-        """The names defined once this call has succeeded, with its result (None: unknown) under its `as`."""
+        """The names defined after this call; its result has the type `result` (None if unknown)."""
         if node.result is None:
             return defined
         before = self._types.get(node.result)
@@ -311,7 +311,7 @@ class _Checker:
             return None
 
     def _type_of_value(self, value: Value, defined: frozenset[str]) -> WireType | None:
-        """The type of a reference, or of what is worked out of several; None where something of it is wrong."""
+        """The type of a reference or expression; None if part of it is wrong, which is then reported."""
         if isinstance(value, Reference):
             return self._type_of(value, defined)
         try:
@@ -322,7 +322,7 @@ class _Checker:
 
     def _type_of(self, reference: Reference, defined: frozenset[str]) -> WireType | None:
         if not self._is_whole and reference.name not in defined:
-            return None  # what gives it a value may be what could not be read
+            return None  # it may be set by the part that could not be read
         if reference.name not in self._types:
             known = [f"${name}" for name in self._types]
             what = f"unknown value '{reference}'"

@@ -1,4 +1,4 @@
-"""A workflow as a picture (SVG): one line for each node, with what it is given, and a line to its parent."""
+"""Draws a workflow as SVG: one row for each node with its arguments, joined to its parent by a line."""
 
 from collections.abc import Iterator
 from html import escape
@@ -21,7 +21,7 @@ text { fill: #e6edf3 } .given { fill: #9aa4af } .kind { fill: #6cb0f5 }
 
 
 def drawn(workflow: Workflow) -> str:
-    """The picture of a workflow's own tree; what it calls stands as one node."""
+    """The picture of a workflow's own tree. A workflow that it calls is one node."""
     rows = list(_rows(workflow.tree, 0))
     width = max(LEFT * 2 + depth * INDENT + CHARACTER * len(f"{name} {given}") for depth, _, name, given in rows)
     height = ROW * (len(rows) + 2)
@@ -44,7 +44,7 @@ def drawn(workflow: Workflow) -> str:
 
 
 def _rows(node: TreeNode, depth: int) -> Iterator[tuple[int, bool, str, str]]:
-    """Depth, whether it is a call, name, and what it is given."""
+    """Depth, whether it is a call, name and arguments of each row."""
     if isinstance(node, Call):
         kept = f" → {node.result}" if node.result is not None else ""
         yield depth, True, node.name, _given(node.arguments) + kept

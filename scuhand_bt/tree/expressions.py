@@ -1,9 +1,9 @@
-"""Values worked out of a workflow's values: `0.25 * $first.dispensed`, `min($mass, 50 mg)`, `$dose.error > 1 mg`.
+"""Expressions over a workflow's values: `0.25 * $first.dispensed`, `min($mass, 50 mg)`, `$dose.error > 1 mg`.
 
-What may be written is the grammar below, and no more: nothing is handed to Python. lark reads it, as it takes a grammar
-as text, knows columns, and lets `50 mg` be one word, which Python's `ast` would not. A number with a unit is a quantity
-in the unit that it is kept in (mg, mm, s, degrees), which go together: what is multiplied or divided has the product's
-or the quotient's dimension, as pint has it, and what is added or compared is of one dimension.
+The grammar below is all there is; no text is ever handed to Python. It is parsed by lark, which reports columns and
+can read `50 mg` as one token, as Python's `ast` cannot. A number with a unit becomes a quantity in the engine's unit
+(mg, mm, s, degrees). These units are coherent: products and quotients get their dimension from pint, and sums and
+comparisons need equal dimensions.
 """
 
 import math
@@ -57,18 +57,19 @@ COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "!=": operator.ne,
 }
 FUNCTIONS: dict[str, Callable[[Sequence[Any]], float]] = {"min": min, "max": max, "sum": math.fsum, "count": len}
-"""Of several values, or of one list; a `count` is of a list alone."""
+"""They take several values, or one list; `count` takes only a list."""
 LONGEST = 300
+"""Most characters of an expression."""
 
 NUMBER: Dimension = ()
 Range: TypeAlias = tuple[float, float]
-"""The least and the most that a number may be."""
+"""The least and the greatest value that a number may have."""
 ANY_NUMBER: Range = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """`$name.attribute.attribute`."""
+    """A value by name: `$name.attribute.attribute`."""
 
     mark: Mark
     name: str
@@ -80,7 +81,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """A number, a quantity in the unit that it is kept in, or a text."""
+    """A number, a quantity in the engine's unit, or a text."""
 
     type: str
     value: float | str
@@ -92,7 +93,7 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """A sign or a function, and what stands on both sides of it, or between its brackets."""
+    """An operator with its operands, or a function with its arguments."""
 
     sign: str
     parts: tuple["Term", ...]
@@ -111,7 +112,7 @@ TypeOf: TypeAlias = Callable[[Reference], WireType | None]
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """What a term is: a number of a dimension, or of one of the other types."""
+    """The type of a term, and its dimension if it is a number."""
 
     dimension: Dimension | None
     wire: WireType
@@ -123,7 +124,7 @@ class _Kind:
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """What is worked out each time that the node it stands in begins."""
+    """An expression. It is evaluated each time the node that contains it begins."""
 
     mark: Mark
     text: str
@@ -144,31 +145,31 @@ class Expression:
                 todo += term.parts
 
     def type(self, type_of: TypeOf) -> WireType | None:
-        """Its type; None where that of a value is not known. ValueError for what cannot be worked out, and why."""
+        """Its type; None if that of a value is unknown. Raises ValueError, worded for the user, if it is ill-typed."""
         kind = _kind(self.root, type_of)
         if kind is not None and kind.dimension is not None and kind.wire.name == UNNAMED:
             raise ValueError("it comes to no quantity that there is a name for")
         return kind.wire if kind is not None else None
 
     def value(self, read: Callable[[Reference], Any]) -> Any:
-        """Its value. ValueError where there is none: nothing is divided by 0, and the least of no value is none."""
+        """Its value. Raises ValueError if it has none: a division by 0, or the minimum of an empty list."""
         found = _value(self.root, read)
         if isinstance(found, float) and not math.isfinite(found):
             raise ValueError(f"{self.text} comes to {found}")
         return found
 
     def range(self, range_of: Callable[[Reference], Range]) -> Range:
-        """Between what its value is, when those that it reads are within theirs."""
+        """Bounds of its value by interval arithmetic, from the bounds of the values that it reads."""
         return _range(self.root, range_of)
 
 
 def fits(wire: WireType, given: WireType) -> bool:
-    """Whether a value that was worked out may flow into a wire: a plain number, also where a ratio is asked for."""
+    """Whether an expression's value may flow into a wire. Unlike a reference, a plain number also fits a ratio."""
     return wire.accepts(given) or (wire.name == "Ratio" and given.name in ("Number", "Integer"))
 
 
 def parse_expression(text: str, mark: Mark) -> Expression | Reference:
-    """Read an expression; a lone reference is itself. ValueError, worded for the user, for what is none."""
+    """Parse an expression; a lone reference is returned as such. Raises ValueError, worded for the user."""
     if len(text) > LONGEST:
         raise ValueError(f"it is longer than {LONGEST} characters")
     from lark.exceptions import UnexpectedCharacters, UnexpectedEOF, UnexpectedToken
@@ -209,7 +210,7 @@ def _tree(text: str) -> Any:
 
 
 def _term(tree: Any, mark: Mark) -> Term:
-    """From lark's tree to ours. ValueError for a unit or a function that there is not."""
+    """Convert lark's tree to ours. Raises ValueError for an unknown unit or function."""
     from lark import Token
 
     if isinstance(tree, Token):
@@ -257,7 +258,7 @@ UNNAMED = "quantity without a name"
 
 
 def _kind(term: Term, type_of: TypeOf) -> _Kind | None:
-    """What a term is; None where a value's type is not known."""
+    """The type of a term; None if that of a value is unknown. Raises ValueError if it is ill-typed."""
     if isinstance(term, Constant):
         return _of_wire(INPUT_TYPES[term.type], str(term))
     if isinstance(term, Reference):
@@ -286,7 +287,7 @@ def _kind(term: Term, type_of: TypeOf) -> _Kind | None:
 
 
 def _reckoned(term: Operation, kinds: Sequence[_Kind]) -> _Kind:
-    """What numbers of these kinds come to."""
+    """The type of an arithmetic operation on these types."""
     dimensions = []
     for kind, part in zip(kinds, term.parts, strict=False):
         if kind.dimension is None:
@@ -316,7 +317,7 @@ def _compared(term: Operation, first: _Kind, second: _Kind) -> _Kind:
         raise ValueError(f"{a} is {first}: it is compared with == or !=")
     for kind, other in ((first, b), (second, a)):
         if isinstance(other, Constant) and kind.wire.name == "Text":
-            kind.wire.read(other.value)  # one of a few words, it may be, and that is none of them
+            kind.wire.read(other.value)  # raises if the text is not among the words of a Literal
     return _of_wire(INPUT_TYPES["Flag"])
 
 
@@ -388,5 +389,5 @@ def _range(term: Term, range_of: Callable[[Reference], Range]) -> Range:
             return ANY_NUMBER
         b_low, b_high = 1.0 / b_high, 1.0 / b_low
     corners = [a * b for a in (a_low, a_high) for b in (b_low, b_high)]
-    known = [corner for corner in corners if not math.isnan(corner)]  # 0 times what has no bound
+    known = [corner for corner in corners if not math.isnan(corner)]  # nan is 0 times infinity
     return (min(known), max(known)) if known else (0.0, 0.0)

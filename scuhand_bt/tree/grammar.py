@@ -1,8 +1,7 @@
-"""The grammar of a workflow file: from YAML nodes to a small tree of dataclasses, with positions.
+"""The grammar of a workflow file: from YAML nodes to a tree of dataclasses with positions (docs/workflows.md).
 
-Every node of a tree is one key: a composite (`sequence`, `fallback`, `parallel`, `while`), a decorator
-(`retry`, `timeout`, `repeat`, `for_each`, `invert`, `optional`), a choice (`if`, `switch`), or a call of a skill or of
-another workflow.
+Every node has one key: a composite (`sequence`, `fallback`, `parallel`), a decorator (`while`, `retry`, `timeout`,
+`repeat`, `for_each`, `invert`, `optional`), a choice (`if`, `switch`), or a call of a skill or workflow.
 """
 
 import re
@@ -30,22 +29,22 @@ PARAMETERS = {
     "times": INPUT_TYPES["Integer"],
     "when": INPUT_TYPES["Flag"],
 }
-"""The nodes' own parameters and their types; like a call's, each is a literal, a `$name` or worked out of some."""
+"""The parameters of built-in nodes and their types. Like a call's, each is a literal, a `$name` or an expression."""
 RECORD = "record"
-"""The skill that takes whatever it is given: it goes into the sample's row."""
+"""The skill that takes any parameters, and writes them into the sample's row."""
 KEYWORDS = (*COMPOSITES, *DECORATOR_KEYS, *CHOICE_KEYS)
 
 QUANTITY_INPUTS = {"mass": "Mass", "tolerance": "Mass"}
-"""Inputs whose name says what they are: recipes and plans reckon with them."""
+"""Inputs whose names have a fixed meaning and type, as recipes and plans use them."""
 RECIPE_WORDS = ("id", "workflow", "repeat", "table", "compose")
-"""Keys of a sample that are not its workflow's inputs."""
+"""Keys of a sample that are not inputs of its workflow."""
 
 _READS_A_VALUE = re.compile(r"\$[A-Za-z_]")
 _NAME = re.compile(r"[A-Za-z_]\w*")
 
 
 def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
-    """Read a workflow file; problems are collected, and None returned if it has no usable tree."""
+    """Read a workflow file. Problems are reported; returns None if it has no usable tree."""
     before = len(problems.found)
     if not isinstance(root, Entries):
         problems.add(
@@ -177,7 +176,7 @@ def _read_node(node: Node, problems: Problems) -> TreeNode | None:
 
 
 def _read_fallback(mark: Mark, body: Entries, problems: Problems) -> TreeNode | None:
-    """A fallback that goes on after some failures only."""
+    """Read a fallback that goes on only after some failures."""
     _only_keys(body, ("on", "children"), problems)
     if (children := body.get("children")) is None:
         problems.add(mark, "'fallback' needs 'children'", "a list of nodes", code="missing-key")
@@ -327,7 +326,10 @@ def _read_call(mark: Mark, name: str, body: Node, problems: Problems) -> Call | 
 
 
 def _argument(node: Node, problems: Problems) -> Argument:
-    """What reads a value (`$…`) and can be worked out is no literal; a text that does not begin with one may be one."""
+    """A literal, or the reference or expression in its place.
+
+    A text that reads a value (`$…`) but is no expression is an error if it begins with `$`, else a literal.
+    """
     text = node.text if isinstance(node, Scalar) else None
     if text is None or (not _READS_A_VALUE.search(text) and not text.startswith("$")):
         return node
@@ -344,12 +346,12 @@ EXPRESSIONS = "write $name, $name.attribute, or what is worked out of such: 0.25
 
 
 def no_expression(node: Node, error: ValueError) -> str:
-    """Why a text cannot be worked out."""
+    """Why a text is no valid expression."""
     return f"{describe(node)} cannot be worked out: {error}"
 
 
 def why_no_expression(node: Node) -> str | None:
-    """Of a literal that reads a value: why that cannot be worked out."""
+    """Why a literal that contains `$name` is no valid expression; None if it is one, or contains none."""
     if not isinstance(node, Scalar) or not _READS_A_VALUE.search(node.text or ""):
         return None
     try:

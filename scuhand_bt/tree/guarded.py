@@ -1,4 +1,4 @@
-"""A `while`: conditions that are looked at on every tick of what they guard."""
+"""The node `while`: conditions that are checked on every tick of the child that they guard."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,7 +15,7 @@ from scuhand_bt.tree.replay import Decision
 
 
 class Guard(Behaviour):
-    """A condition in front of a `while`'s child; looked at on every tick of the `while`."""
+    """A condition in front of a `while`'s child."""
 
     def __init__(self, name: str, condition: type[Condition], arguments: Arguments, shared: Ticking) -> None:
         super().__init__(name)
@@ -39,7 +39,7 @@ class Guard(Behaviour):
 
 
 class While(SequenceNode):
-    """Guards, then the child, all looked at anew on every tick; a guard that fails halts the child."""
+    """Guards, then the child, checked anew on every tick. If a guard fails, the child is halted."""
 
     def __init__(self, path: str, guards: Sequence[Guard], child: Behaviour, shared: Ticking) -> None:
         super().__init__("while", memory=False, children=[*guards, child])
@@ -60,7 +60,7 @@ class While(SequenceNode):
             return
         had_begun = self.status is Status.RUNNING and self._child.status is Status.RUNNING
         for node in super().tick():
-            if node is self and self.status is Status.RUNNING:  # before a parent takes this for the tick's end
+            if node is self and self.status is Status.RUNNING:  # before `yield`, after which a parent may stop the tick
                 self._shared.wait(self, *(Wake.on(self._shared.cell.device(name).news) for name in self._devices))
             if node is self and self.status is Status.FAILURE and self._child.status is not Status.FAILURE:
                 decision = Decision(failure_of(self), had_begun)
@@ -68,7 +68,7 @@ class While(SequenceNode):
             yield node
 
     def _replay(self) -> Iterator[Behaviour]:
-        """The guards held, then, until the one that is recorded to have failed."""
+        """Replay: the guards held until the one that is recorded to have failed."""
         if self.status is not Status.RUNNING:
             self.initialise()
         decision = self._shared.replay.decision(self.path, self._visits)

@@ -1,4 +1,4 @@
-"""The leaf of a job's tree: it drives a skill's generator, and shares with the other nodes what a tick needs."""
+"""The leaf of a job's tree, which runs a skill's generator; and what it shares with the other nodes of the tree."""
 
 import traceback
 from collections.abc import Callable, Generator, Sequence
@@ -22,9 +22,9 @@ from scuhand_bt.tree.substitutes import Substitutes
 from scuhand_bt.tree.wires import in_words
 
 REST_S = 1.0
-"""After a skill's end its devices come to rest within this time (a wide open valve takes 0.7 s), or it left them on."""
+"""Time for the devices to come to rest after the skill's end [s]. A wide open valve takes 0.7 s."""
 REJOINING = ("arm", "balance")
-"""What `Rejoin` uses."""
+"""The devices that `Rejoin` uses."""
 
 S = TypeVar("S", bound=Skill[Any])
 Values = dict[str, Any]
@@ -33,46 +33,47 @@ Arguments = Callable[[], Values]
 
 
 class SkillBug(Exception):  # noqa: N818 - it names what it is, for the user
-    """A skill broke the rules of skills (or Python's); not a failure of the cell."""
+    """A skill broke the rules of skills, or of Python. This is no failure of the cell."""
 
 
 class Listener(Protocol):
-    """Who is told of every action before it starts and after it has ended: the journal."""
+    """Is told of every action before it starts and after it has ended; in a run it is the journal."""
 
     def started(self, leaf: "SkillLeaf", inputs: Values) -> None: ...
 
     def waits(self, leaf: "SkillLeaf") -> Wake | None:
-        """What the leaf has to wait for until it is on disk that it starts; None where it is."""
+        """What to wait for until the start of the action is on disk; None if it is."""
         ...
 
     def acting(self, leaf: "SkillLeaf") -> None:
-        """The leaf is about to do its next step; what is recorded now is its doing."""
+        """The leaf is about to make its next step; what is recorded from now on belongs to it."""
         ...
 
     def ended(self, leaf: "SkillLeaf", outcome: str, result: Any) -> None: ...
 
     def in_words(self, inputs: Values) -> str:
-        """The inputs of an action as the record keeps them."""
+        """The inputs of an action in the form in which they are recorded."""
         ...
 
     def decided(self, path: str, visit: int, decision: Decision) -> None:
-        """A node that is no action has failed on its own account."""
+        """A node other than a leaf has failed for a reason of its own."""
         ...
 
     def gave_up(self, path: str) -> None:
-        """A `retry` has failed with its child, and does not begin that again."""
+        """A `retry` has failed, and does not begin its child again."""
         ...
 
     def rounds_done(self, path: str) -> None:
-        """A `repeat` or `for_each` has succeeded, and begins its child no more."""
+        """A `repeat` or `for_each` has succeeded, and does not begin its child again."""
         ...
 
 
 class Rejoin(Protocol):
-    """What the run does before the first action that goes live, and before one that had begun, after an interruption.
+    """What a resumed run does before the first live action, and before an action that had begun.
 
-    `recorded` is what stood in the action's place, `is_same` whether it is this action still. False: the operator says
-    that it is done, and it does not begin again.
+    See docs/run-behaviour.md, "Resuming". `recorded` is what is recorded for the action's place and visit; `is_same`:
+    it was the same skill with the same inputs. Returns False if the operator says that the action is done and must not
+    begin again.
     """
 
     def __call__(
@@ -81,19 +82,19 @@ class Rejoin(Protocol):
 
 
 class Consent(Protocol):
-    """Who has to say, before each action, that it may begin."""
+    """Asks for permission before each action, in single step."""
 
     def waits(self, leaf: "SkillLeaf", inputs: Values, shared: "Ticking") -> Wake | None:
-        """What the leaf has to wait for until it may begin; None where it may, which is said once."""
+        """What to wait for until the leaf may begin; None once it may, which is told only once."""
         ...
 
     def withdraw(self, leaf: "SkillLeaf", shared: "Ticking") -> None:
-        """The leaf is halted: it is not to begin any more."""
+        """The leaf was halted, so its question is void."""
         ...
 
 
 class Ticking:
-    """What the nodes of one job's tree share: the cell, its leases, the listener, and who waits for what."""
+    """What the nodes of one job's tree share: cell, leases, listener, replay, and what each node waits for."""
 
     def __init__(
         self,
@@ -111,13 +112,13 @@ class Ticking:
         self.replay = replay
         self.rejoin = rejoin
         self.substitutes = substitutes
-        """What stands in for skills, in a test."""
+        """Stand-ins for skills, in a test of a workflow."""
         self.consent = consent
-        """Who lets each action begin, in single step."""
+        """Lets each action begin, in single step."""
         self.acting: set[SkillLeaf] = set()
         """The leaves whose skill is at work."""
         self.rejoining: SkillLeaf | None = None
-        """The leaf that settles what an interruption has left: no other begins meanwhile."""
+        """The leaf that settles what an interruption has left. No other action begins meanwhile."""
         self.is_pausing = False
         """No action may begin."""
         self.going_on = Signal()
@@ -125,15 +126,15 @@ class Ticking:
         self.is_interrupted = False
         """The run, not the tree, halts the job."""
         self.bugs: list[SkillBug] = []
-        """What broke while it was halted: it must not keep the rest of the tree from being halted too."""
+        """Exceptions of skills while they were halted. They are kept, so that the rest of the tree is halted too."""
         self._waiting: dict[Behaviour, Sequence[Wake]] = {}
         self.held_up_by: set[object] = set()
-        """What keeps an action from beginning: a person who thinks about it, what an interruption left to settle."""
+        """What keeps an action from beginning: an answer in single step, or settling what an interruption left."""
         self._held_up_s = self._changed_s = 0.0
 
     @property
     def held_up_s(self) -> float:
-        """How long something has done so in all: timeouts do not count it."""
+        """The total time for which actions were held up [s]. Timeouts do not count it."""
         return self._held_up_s + (self.cell.clock.now_s - self._changed_s if self.held_up_by else 0.0)
 
     def holds_up(self, who: object, is_so: bool) -> None:
@@ -141,14 +142,14 @@ class Ticking:
         (self.held_up_by.add if is_so else self.held_up_by.discard)(who)
 
     def wait(self, node: Behaviour, *wakes: Wake) -> None:
-        """Note when `node` wants the next tick; replaces what it asked for before."""
+        """Set what `node` wants to be ticked for next; replaces what it had set before."""
         self._waiting[node] = wakes
 
     def done(self, node: Behaviour) -> None:
         self._waiting.pop(node, None)
 
     def wakes(self) -> list[Wake]:
-        """All that the tree waits for now."""
+        """Everything that the tree waits for now."""
         return [wake for wakes in self._waiting.values() for wake in wakes]
 
 
@@ -189,7 +190,7 @@ class SkillLeaf(Behaviour):
 
     @property
     def is_stuck(self) -> bool:
-        """It is being replayed, and waits to be halted as it was then."""
+        """Whether it is being replayed, and waits to be halted as it was then."""
         replay = self._shared.replay
         return replay.is_replaying and self._recorded is not None and self._recorded.outcome == "halted"
 
@@ -222,7 +223,7 @@ class SkillLeaf(Behaviour):
             return self._has_ended("failed", failure)
         except (RecordLost, SkillBug):
             raise
-        except BaseException as error:  # sys.exit() too: how a run ends is not a skill's to say
+        except BaseException as error:  # sys.exit() too: the engine decides how a run ends
             self._end("broken", None)
             raise bug_of(self.name, error) from error
         self._shared.wait(self, self._wake)
@@ -234,9 +235,9 @@ class SkillLeaf(Behaviour):
         return self._come_to_rest(outcome, result)
 
     def _come_to_rest(self, outcome: str, result: Any) -> Status:
-        """The skill has ended; its action is over once the devices that it commanded stand still.
+        """The skill has ended; its action is over once all devices that it commanded stand still.
 
-        SkillBug if they go on, and are sound: nothing may move beside them. What has failed trips a guard.
+        Raises SkillBug if a sound device runs on longer than `REST_S`. A faulty device is left to the guards.
         """
         shared, cell = self._shared, self._shared.cell
         devices = {name: cell.device(name) for name in (self.skill.devices if self._is_recorded else ())}
@@ -273,7 +274,7 @@ class SkillLeaf(Behaviour):
         self._end(outcome, None)
 
     def _is_replayed(self) -> bool:
-        """End as recorded, if this action ended before the run was interrupted; raises a recorded failure."""
+        """End as recorded, if this action had ended before the interruption. Raises the recorded failure."""
         recorded, shared = self._recorded, self._shared
         if recorded is None or recorded.outcome not in ENDED:
             return False
@@ -285,7 +286,7 @@ class SkillLeaf(Behaviour):
         return True
 
     def _begin(self) -> bool:
-        """Take the leases and make the skill; False while it must wait for others, or the run pauses."""
+        """Take the leases and make the skill; False if it must wait for another action, a person or a pause."""
         shared, replay = self._shared, self._shared.replay
         if replay.is_replaying:
             return False
@@ -304,7 +305,7 @@ class SkillLeaf(Behaviour):
         is_open = self._recorded is not None
         also: tuple[str, ...] = REJOINING if replay.is_to_rejoin else ()
         if is_open and not also and self.skill.settle is not Skill.settle:
-            also, self._began_waiting_s = ("arm",), now_s  # which `settle` is given; what has it comes to its end
+            also, self._began_waiting_s = ("arm",), now_s  # for `settle`; waits for whatever action has it
         if wakes := self._lacks((*dict.fromkeys((*self.skill.devices, *also)),)):
             shared.wait(self, *wakes)
             return False
@@ -323,7 +324,7 @@ class SkillLeaf(Behaviour):
         return True
 
     def _lacks(self, devices: Sequence[str]) -> list[Wake]:
-        """Lease these and the skill's zones; what to wait for where they are not free. SkillFailed after too long."""
+        """Lease these and the skill's zones; returns what to wait for, if anything. SkillFailed after too long."""
         leases = self._shared.leases
         if leases.take(devices, self, self.skill.zones):
             return []
@@ -334,7 +335,7 @@ class SkillLeaf(Behaviour):
         return leases.wakes(devices, until_s)
 
     def _resume(self, skill: Skill[Any], steps: Steps[Any], inputs: str) -> Steps[Any]:
-        """The skill's steps, after what an interruption has left to settle."""
+        """The skill's steps, preceded by settling what an interruption has left."""
         shared, recorded = self._shared, self._recorded
         is_same = recorded is not None and recorded.skill == self.name and recorded.inputs == inputs
         rejoined = shared.rejoin(shared.cell, shared.replay, skill, self.name, recorded, is_same=is_same)
@@ -347,7 +348,7 @@ class SkillLeaf(Behaviour):
             if shared.rejoining is self:
                 shared.rejoining = None
                 shared.going_on.fire()
-        # By what it needs itself: while it had the arm, a zone was free to it in which that stands and stays.
+        # Only what the skill itself needs: without the arm, it has to wait for zones in which that stands.
         shared.leases.give_back(self)
         self._began_waiting_s = shared.cell.clock.now_s
         while self._lacks(self.skill.devices):
@@ -368,24 +369,24 @@ class SkillLeaf(Behaviour):
 
 
 def bug_of(name: str, error: BaseException) -> SkillBug:
-    """What an exception of a skill's own code is, and in which line of its file it came up."""
+    """The bug behind an exception in a skill's code, with the line of its file."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).stem == name]
     where = f" ({name}.py, line {lines[-1]})" if lines else ""
     return SkillBug(f"the skill {name} broke: {type(error).__name__}: {error}{where}")
 
 
 def is_explained(skill: type[Skill[Any]], failure: SkillFailed) -> bool:
-    """Whether recipes and workflows can name this failure: the catalogue has it, or the skill itself."""
+    """Whether recipes and workflows can name this failure: by the catalogue, or the skill itself."""
     return failure.code in CATALOGUE or failure.code in skill.failures
 
 
 def unexplained(name: str, failure: SkillFailed) -> SkillBug:
-    """A failure that nobody can name is a bug too."""
+    """The bug of a skill that fails with an undeclared code."""
     return SkillBug(f"the skill {name} broke: it fails with a code that nobody has explained: {failure}")
 
 
 def made(name: str, skill: type[S], inputs: Values) -> S:
-    """The skill with its parameters; SkillFailed workflow.bad_value for values that it does not accept."""
+    """The skill with its parameters. Raises SkillFailed workflow.bad_value for values that it does not accept."""
     try:
         return skill.model_validate(inputs, by_alias=True, by_name=False)
     except ValidationError as error:
@@ -393,7 +394,7 @@ def made(name: str, skill: type[S], inputs: Values) -> S:
 
 
 def is_stuck(node: Behaviour) -> bool:
-    """Whether a part of a tree that is being replayed waits to be halted as it was then."""
+    """Whether a part of a replayed tree waits to be halted as it was then."""
     return any(
         isinstance(leaf, SkillLeaf) and leaf.status is Status.RUNNING and leaf.is_stuck for leaf in node.iterate()
     )

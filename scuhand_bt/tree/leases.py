@@ -1,4 +1,4 @@
-"""Leases: one skill at a time commands a device, or moves in a zone, and the next one waits until that is free."""
+"""Leases: only one skill at a time commands a device or moves in a zone; the next one waits until it is free."""
 
 from collections.abc import Iterable, Sequence
 
@@ -8,14 +8,14 @@ from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code, SkillFailed
 
 LEASE_TIMEOUT_S = 10.0
-"""How long a device that is not free is waited for."""
+"""How long to wait for a device that is not free [s]."""
 
 
 class Leases:
-    """Who commands which device of a cell, and has which of its zones.
+    """Which action holds which devices and zones of a cell.
 
-    A lease ends in two steps: the skill ends or is halted (`give_back`), and the device reports that it
-    has stopped, or the arm is out of the zone. Only then may another skill have it.
+    A lease ends in two steps. First the skill ends or is halted (`give_back`). Then the device reports that it has
+    stopped, or the arm has left the zone. Only then can another skill have it.
     """
 
     def __init__(self, cell: Cell) -> None:
@@ -24,7 +24,7 @@ class Leases:
         self._stopping: set[str] = set()
 
     def take(self, devices: Iterable[str], owner: object, zones: Iterable[str] = ()) -> bool:
-        """Lease all of these, or none of them: False if one is held, or not free yet."""
+        """Lease all of these; False, and none leased, if any of them is not free."""
         devices, zones = tuple(devices), tuple(zones)
         if self.missing(devices, owner, zones):
             return False
@@ -41,14 +41,17 @@ class Leases:
         return missing + self.stood_in(devices, zones)
 
     def stood_in(self, devices: Iterable[str], zones: Iterable[str]) -> list[str]:
-        """The zones that are not free as the arm was left in them; none for who moves it, or has but the hand on it."""
+        """The zones that are not free because the arm stands in them.
+
+        None if the caller has the arm, or has the hand but not the changer.
+        """
         used = {*devices}
         if "arm" in used or ("hand" in used and "changer" not in used):
             return []
         return [zone for zone in zones if self._way.is_stood_in(zone)]
 
     def give_back(self, owner: object) -> None:
-        """The owner has ended: its devices are free once they have stopped, and its zones then, if the arm is out."""
+        """The owner has ended. Its devices become free once they stand still; then its zones, if the arm is out."""
         way = self._way
         gone = [name for name, holder in way.commands.items() if holder is owner]
         for name in gone:
@@ -57,7 +60,7 @@ class Leases:
         way.leave(owner, gone)
 
     def waited_for(self, devices: Sequence[str], owner: object, zones: Sequence[str]) -> tuple[float, SkillFailed]:
-        """How long what is not free is waited for, and the failure after that."""
+        """How long to wait for what is not free [s], and the failure after that."""
         missing, stood_in = self.missing(devices, owner, zones), self.stood_in(devices, zones)
         if stood_in and set(missing) <= set(stood_in):
             what = f"for {ZONE_TIMEOUT_S:g} s nothing has moved the arm out of the zone {', '.join(stood_in)}"
@@ -68,6 +71,6 @@ class Leases:
         return LEASE_TIMEOUT_S, SkillFailed(Code.DEVICE_BUSY, what)
 
     def wakes(self, names: Iterable[str], until_s: float) -> list[Wake]:
-        """Wakes for the news of these devices, and of what others give back."""
+        """Wakes for news of these devices, and for leases that others give back."""
         devices = [Wake.on(self._cell.device(name).news, until_s) for name in names]
         return [*devices, Wake.on(self._way.news, until_s)]

@@ -1,4 +1,4 @@
-"""All that a workflow can name: skills, workflows, powders, vessels, zones, and what each of them takes."""
+"""Everything that a workflow can name (skills, workflows, powders, vessels, zones), and the parameters of each."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
@@ -17,12 +17,12 @@ from scuhand_bt.tree.workflow import Call, TreeNode, Workflow, walk
 from scuhand_bt.yaml_source import Items, Node, describe, plain
 
 SKILLS_KEPT = 128
-"""Of so many it is remembered what they take: a process that loads a lab anew for each draw of a study keeps few."""
+"""How many skills' parameters are cached. A study loads the lab anew for each draw, and each time makes new classes."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """What a skill or a workflow takes under one name."""
+    """One parameter of a skill or workflow."""
 
     wire: WireType
     required: bool
@@ -30,7 +30,7 @@ class Parameter:
 
 @dataclass
 class Library:
-    """All that a workflow can name."""
+    """Everything that a workflow can name."""
 
     skills: Mapping[str, type[Skill[Any]]] = field(default_factory=dict)
     workflows: Mapping[str, Workflow] = field(default_factory=dict)
@@ -38,21 +38,21 @@ class Library:
     containers: Mapping[str, ContainerKind] = field(default_factory=dict)
     mortars: Mapping[str, Mortar] = field(default_factory=dict)
     facts: Mapping[str, SkillFacts] = field(default_factory=dict)
-    """What the skills' files say of them."""
+    """What static analysis finds in the skills' files."""
     taken_there: Mapping[str, Collection[str]] = field(default_factory=dict)
-    """What the starter lab's skills of these names take, where the lab has them in other words."""
+    """Parameters of the starter lab's skills of these names, where the lab's own version differs."""
     zones: Collection[str] = ()
-    """The spaces that `robot/cell.yaml` says only one may move in at a time."""
+    """Zones of `robot/cell.yaml`: spaces in which only one thing may move at a time."""
     broken: Broken = field(default_factory=Broken)
-    """What its files name and cannot be used."""
+    """What the lab's files name but cannot be used."""
     recorded: dict[Mark, Mapping[str, WireType]] = field(default_factory=dict)
-    """The types of what `record` is given, by where it stands, in workflows that were checked."""
+    """For each `record` in checked workflows, by its place: the types of its parameters."""
 
     chosen_by: dict[Mark, WireType] = field(default_factory=dict)
-    """The types of what each `switch` of such a workflow chooses by."""
+    """For each `switch` in checked workflows, by its place: the type of its value."""
 
     def wires(self, call: Call) -> Mapping[str, WireType]:
-        """The types of what a call of a checked workflow can be given."""
+        """The types of the parameters of a call in a checked workflow."""
         if call.name == RECORD:
             return self.recorded.get(call.mark, {})
         if call.name in self.skills:
@@ -60,14 +60,14 @@ class Library:
         return {key: declared.type for key, declared in self.workflows[call.name].inputs.items()}
 
     def failures(self) -> Mapping[str, Failure]:
-        """The catalogue with the lab's own codes."""
+        """All failure codes: the catalogue's and the lab's own."""
         return {
             **CATALOGUE,
             **{code: entry for skill in self.skills.values() for code, entry in skill.failures.items()},
         }
 
     def parameters(self, name: str) -> Mapping[str, Parameter]:
-        """What the skill or workflow `name` takes."""
+        """The parameters of the skill or workflow `name`."""
         if name in self.skills:
             return parameters_of(self.skills[name])
         inputs = self.workflows[name].inputs
@@ -76,7 +76,7 @@ class Library:
 
 @lru_cache(maxsize=SKILLS_KEPT)
 def parameters_of(skill: type[Skill[Any]]) -> Mapping[str, Parameter]:
-    """What a skill takes."""
+    """A skill's parameters, by their names in YAML."""
     return {
         info.alias or field_name: Parameter(of_field(info.annotation, info.metadata), info.is_required())
         for field_name, info in skill.model_fields.items()
@@ -85,7 +85,7 @@ def parameters_of(skill: type[Skill[Any]]) -> Mapping[str, Parameter]:
 
 @lru_cache(maxsize=SKILLS_KEPT)
 def units_of(skill: type[Skill[Any]]) -> Mapping[str, str]:
-    """The units in which a skill is given those of its parameters that are quantities, or lists of such."""
+    """The units of a skill's parameters that are quantities or lists of quantities."""
     wires = {key: wire.item or wire for key, wire in _wires_of(skill).items()}
     symbols = {key: QUANTITIES[wire.name].symbol for key, wire in wires.items() if wire.name in QUANTITIES}
     return {key: symbol for key, symbol in symbols.items() if symbol}
@@ -98,13 +98,13 @@ def _wires_of(skill: type[Skill[Any]]) -> Mapping[str, WireType]:
 
 @dataclass(frozen=True)
 class Percent:
-    """A tolerance written as a percentage: of the mass in the same call."""
+    """A tolerance written as a percentage of the mass in the same call."""
 
     ratio: float
 
 
 def literal(name: str, wire: WireType, node: Node, library: Library) -> Any:
-    """The value of a literal for the parameter `name`; ValueError, worded for the user, if it has none."""
+    """The value of a literal for the parameter `name`. Raises ValueError, worded for the user, if it is wrong."""
     value = plain(node)
     if wire.item is not None:
         if not isinstance(node, Items):
@@ -127,7 +127,7 @@ def literal(name: str, wire: WireType, node: Node, library: Library) -> Any:
 
 
 def resolve_percent(values: dict[str, Any]) -> dict[str, Any]:
-    """Turn a tolerance in percent into milligrams, by the mass beside it."""
+    """Convert a tolerance in percent to milligrams of the mass beside it, in place."""
     tolerance, mass_mg = values.get("tolerance"), values.get("mass")
     if isinstance(tolerance, Percent) and mass_mg is not None:
         values["tolerance"] = tolerance.ratio * mass_mg
@@ -135,12 +135,12 @@ def resolve_percent(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def devices_of(node: TreeNode, library: Library) -> set[str]:
-    """The devices that a tree commands, through all that it calls."""
+    """The devices that a tree commands, including everything that it calls."""
     return {device for skill in skills_of(node, library) for device in skill.devices}
 
 
 def skills_of(node: TreeNode, library: Library, seen: set[str] | None = None) -> set[type[Skill[Any]]]:
-    """The skills of a tree, through all that it calls (`seen`: workflows looked at already)."""
+    """The skills of a tree, including everything that it calls (`seen`: workflows already visited)."""
     skills: set[type[Skill[Any]]] = set()
     seen = set() if seen is None else seen
     for part in walk(node):

@@ -1,7 +1,7 @@
-"""What in a workflow is most likely not meant, though it would run: warnings, each with a code (`findings.py`).
+"""Warnings about workflows that would run but are probably not meant; each has a code (`findings.py`).
 
-Everything here follows from types, from what skills' files say of them (`skill_files/facts.py`) and from what they
-forecast; a workflow that is wrong is not looked at. Where something cannot be told, nothing is said.
+They follow from types, from static analysis of the skills' files (`skill_files/facts.py`) and from skills' forecasts.
+Workflows with errors are skipped. Where something cannot be known, there is no warning.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -33,14 +33,14 @@ from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}
 HASTE = 4.0
-"""No action is so many times as quick as it forecasts."""
+"""No action is more than this many times quicker than its forecast."""
 LASTING = "duration"
-"""A skill lasts at least as long as its parameter of this name."""
+"""A skill takes at least as long as its parameter of this name."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """What must come before a part of a dose."""
+    """A precondition of a part of a dose: `before` must have come before `of`."""
 
     of: str
     before: str
@@ -75,7 +75,7 @@ NEEDS = (
 
 
 class Lint:
-    """The warnings of a lab's workflows. `roots` are run as they are: by a recipe, or by nobody else."""
+    """The warnings for a lab's workflows; `service` are those that the engine calls between samples."""
 
     def __init__(self, library: Library, cell: CellSpec, service: Collection[str], problems: Problems) -> None:
         self.library = library
@@ -87,7 +87,10 @@ class Lint:
         self._least: dict[str, float] = {}
 
     def check(self, sound: Collection[str], roots: Collection[str]) -> None:
-        """Warn of these workflows; they, and all that they call, are sound."""
+        """Warn about these workflows; they and everything that they call are free of errors.
+
+        `roots` are those that run as a whole job: named by a recipe, or called by no other workflow.
+        """
         for name in sound:
             workflow = self.library.workflows[name]
             self._check_names(workflow)
@@ -121,7 +124,7 @@ class Lint:
         self._check_shadowed(workflow.tree, frozenset())
 
     def _check_shadowed(self, node: TreeNode, defined: frozenset[str]) -> frozenset[str]:
-        """Warn of a result that takes the place of one before it; of alternatives each may give it."""
+        """Warn of a result that overwrites an earlier one. Alternatives may each set the same name."""
         if isinstance(node, Call):
             given = {} if node.result is None else {node.result: node.result_mark}
             if node.name == RECORD:
@@ -142,7 +145,7 @@ class Lint:
     # --- failures
 
     def codes(self, node: TreeNode) -> frozenset[str]:
-        """All that a node may fail with."""
+        """All failure codes that a node may fail with."""
         if isinstance(node, Branch):
             return frozenset[str]().union(*map(self.codes, node.children))
         if isinstance(node, Choice):
@@ -161,7 +164,7 @@ class Lint:
         return self._codes[node.name]
 
     def _check_codes(self, node: Decorator | Branch) -> None:
-        """Of a retry, or a fallback after some failures only."""
+        """Check `on` of a retry or fallback."""
         raised = frozenset[str]().union(*map(self.codes, children_of(node)))
         for code, mark in node.codes.items():
             if code not in raised:
@@ -170,7 +173,7 @@ class Lint:
                 self._problems.warn(mark, what, "leave it out, or look at what the child calls", code="retry-never")
 
     def _is_sure(self, node: TreeNode) -> bool:
-        """Whether a node can be told never to fail. A value that only the run knows may be none, or not be accepted."""
+        """Whether a node certainly never fails. A value that only the run knows may not exist, or not be accepted."""
         if not all(isinstance(argument, Node) for argument in arguments_of(node)):
             return False
         if isinstance(node, Branch):
@@ -212,7 +215,7 @@ class Lint:
             self._problems.warn(argument.mark, what, "a longer time", code="short-timeout")
 
     def least_s(self, node: TreeNode) -> float:
-        """So long a node lasts at least, if it succeeds."""
+        """The least time that a node takes if it succeeds [s]."""
         if isinstance(node, Branch):
             found = [self.least_s(child) for child in node.children]
             return sum(found) if node.kind == "sequence" else max(found) if node.kind == "parallel" else min(found)
@@ -246,7 +249,7 @@ class Lint:
             return 0.0  # the skill does not say how long it takes
         try:
             return skill.forecast(given, self._cell).duration_s / HASTE
-        except (Exception, SystemExit):  # the lab's own code; that it breaks is told where a plan is made
+        except (Exception, SystemExit):  # a lab's code may raise anything; planning reports it
             return 0.0
 
     def _literals(self, node: Call) -> Mapping[str, Any]:
@@ -268,7 +271,7 @@ class Lint:
         self._check_ready(workflow.tree, frozenset())
 
     def _ends_parked(self, node: TreeNode) -> bool | None:
-        """Whether the arm is parked by what moves it last; None where nothing moves it."""
+        """Whether the last skill that moves the arm parks it; None if nothing moves it."""
         if isinstance(node, Call):
             if node.name in self.library.skills:
                 facts = self.library.facts.get(node.name)
@@ -283,7 +286,7 @@ class Lint:
         return ends[-1] if node.kind == "sequence" else all(ends)
 
     def _check_ready(self, node: TreeNode, ready: frozenset[str]) -> frozenset[str]:
-        """Warn of the calls of a job that come before what they need; returns what holds after the node."""
+        """Warn of calls that come before their preconditions; returns what holds after the node."""
         if isinstance(node, Branch):
             if node.kind == "sequence":
                 for child in node.children:
@@ -302,14 +305,14 @@ class Lint:
             for need in NEEDS:
                 if need.of in does and need.before not in ready:
                     self._problems.warn(node.mark, need.what.format(node.name), need.remedy, code=need.code)
-                    ready |= {need.before}  # said once
+                    ready |= {need.before}  # so that it is reported once
             if "arm" in self.library.skills[name].devices:
                 ready -= {"hover"}
             ready |= does
         return ready
 
     def _does(self, name: str) -> frozenset[str]:
-        """What of a dose a skill does, by what its file says."""
+        """Which parts of a dose a skill does, according to its file."""
         facts = self.library.facts.get(name)
         if facts is None:
             return frozenset()
@@ -318,7 +321,7 @@ class Lint:
         return frozenset(word for word, is_done in {**does, "dose": doses}.items() if is_done)
 
     def _skills_of(self, node: TreeNode) -> Iterator[str]:
-        """The skills of a tree in its order, through all that it calls."""
+        """The skills of a tree in order, including everything that it calls."""
         for part in walk(node):
             if isinstance(part, Call) and part.name in self.library.skills:
                 yield part.name

@@ -1,10 +1,8 @@
-"""The py_trees nodes that a workflow is built into, beside leaves (`tree/leaf.py`) and `while` (`tree/guarded.py`).
+"""The py_trees nodes of a workflow, except leaves (`tree/leaf.py`) and `while` (`tree/guarded.py`).
 
-`sequence`, `fallback`, `parallel`, `invert` and `optional` are py_trees' own. Ours are those that need the
-run's clock, a failure's code or a value: `retry`, `timeout`, `repeat`, `for_each`, `if`, `switch`, a
-`fallback` after some failures only, and the call of a workflow.
-
-A value that cannot be worked out is a failure of the node that needs it, as any other.
+`sequence`, `parallel`, `invert`, `optional` and a plain `fallback` are py_trees' own. Those here need the run's clock,
+a failure's code or a value: `retry`, `timeout`, `repeat`, `for_each`, `if`, `switch`, a `fallback` with `on`, and the
+call of a workflow. If a value cannot be computed, the node that needs it fails.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,14 +22,14 @@ from scuhand_bt.tree.replay import Decision
 
 
 class _Begun(Decorator):
-    """A decorator that begins with its values, and fails where these cannot be worked out."""
+    """A decorator that evaluates its arguments when it begins, and fails if it cannot."""
 
     def __init__(self, name: str, child: Behaviour) -> None:
         super().__init__(name, child)
         self.failure: SkillFailed | None = None
 
     def begin(self) -> None:
-        """Work out what it needs. Raises SkillFailed."""
+        """Evaluate what it needs. Raises SkillFailed."""
         raise NotImplementedError
 
     def tick(self) -> Iterator[Behaviour]:
@@ -43,7 +41,7 @@ class _Begun(Decorator):
         yield self
 
     def _begins(self) -> bool:
-        """False, and it has failed, where it cannot."""
+        """False if it cannot begin; it has then failed."""
         self.failure = None
         try:
             self.begin()
@@ -55,7 +53,7 @@ class _Begun(Decorator):
 
 
 class _OnClock(_Begun):
-    """A decorator that may ask for a tick of its own, and may fail for a reason of its own."""
+    """A decorator that may ask for a tick, and may fail for a reason of its own."""
 
     def __init__(self, name: str, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
         super().__init__(name, child)
@@ -66,7 +64,7 @@ class _OnClock(_Begun):
         self._shared.done(self)
 
     def _again(self) -> Status:
-        """Tick the child anew, at this same time."""
+        """Tick the child anew at this same time."""
         self._shared.wait(self, Wake(self._shared.cell.clock.now_s))
         return Status.RUNNING
 
@@ -87,9 +85,9 @@ class _Counted(_OnClock):
 
 
 class Retry(_Counted):
-    """Begin the child again when it fails with one of `codes` (none given: any), up to `attempts` times in all.
+    """Begin the child again when it fails with one of `codes` (any, if empty), up to `attempts` times in all.
 
-    That it does so no more is told: to whoever follows the journal it would be as before another attempt.
+    The listener is told when it gives up. Otherwise the journal would look the same as before another attempt.
     """
 
     count = "attempts"
@@ -115,7 +113,7 @@ class Retry(_Counted):
 
 
 class Repeat(_Counted):
-    """Run the child `times` times; fails when the child fails. That it has is told, as of a `Retry`."""
+    """Run the child `times` times; fails when the child fails. The listener is told when it is done."""
 
     count = "times"
 
@@ -141,10 +139,10 @@ class Repeat(_Counted):
 
 
 class ForEach(_Begun):
-    """Run the child for each item of its lists, side by side; fails when the child fails. That it has is told, too.
+    """Run the child for each item of its parallel lists; fails when the child fails.
 
-    `items` are the values that the child reads under the items' names. The next round begins in the tick in which one
-    has ended: there is an end to a list.
+    The listener is told when it is done. `items` are the values that the child reads, by the items' names. A next
+    round begins in the tick in which the last one ended: lists are finite.
     """
 
     def __init__(
@@ -199,7 +197,7 @@ def _tell_rounds_done(path: str, shared: Ticking) -> None:
 
 
 class Chosen(Composite):
-    """`if` or `switch`: of its children it ticks the one that is chosen when it begins; none, and it succeeds."""
+    """`if` or `switch`: when it begins it chooses one child, which it then ticks. If it chooses none, it succeeds."""
 
     def __init__(self, name: str, children: Sequence[Behaviour], choose: Callable[[], int | None]) -> None:
         super().__init__(name, list(children))
@@ -224,7 +222,7 @@ class Chosen(Composite):
 
 
 class Fallback(Selector):
-    """A fallback that goes on to its next child after a failure with one of `codes`, and fails with any other."""
+    """A fallback that goes on to its next child only after a failure with one of `codes`, and fails with any other."""
 
     def __init__(self, children: Sequence[Behaviour], codes: frozenset[str]) -> None:
         super().__init__("fallback", memory=True, children=list(children))
@@ -245,7 +243,7 @@ class Fallback(Selector):
 
 
 def _is_now(node: Behaviour, status: Status) -> None:
-    """What a tick came to; a node that has ended halts what it left running."""
+    """Set the status after a tick. A node that has ended halts the children that it left running."""
     if status is Status.RUNNING:
         node.status = status
     else:
@@ -253,7 +251,7 @@ def _is_now(node: Behaviour, status: Status) -> None:
 
 
 def _reset(children: Sequence[Behaviour]) -> None:
-    """What they came to the last time does not count any more."""
+    """Forget how the children ended the last time."""
     for child in children:
         if child.status is not Status.INVALID:
             child.stop(Status.INVALID)
@@ -262,8 +260,8 @@ def _reset(children: Sequence[Behaviour]) -> None:
 class Timeout(_OnClock):
     """Halt the child and fail if it has not ended within `duration` of run time.
 
-    What holds an action up that is to begin is not counted (`Ticking.held_up_by`), nor what a pause keeps from
-    beginning: from where nothing of the child is at work any more, whatever goes on beside it.
+    Two times are not counted: while actions are held up (`Ticking.held_up_by`), and while a pause keeps the child from
+    going on. The latter begins when nothing of the child is at work any more, even if something beside it is.
     """
 
     def __init__(self, path: str, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
@@ -272,7 +270,7 @@ class Timeout(_OnClock):
         self._visits = 0
         self._duration_s = 0.0
         self._began_s = self._looked_s = 0.0
-        """On a clock that stands while something is held up."""
+        """On a clock that stands still while actions are held up."""
         self._is_kept = False
 
     def begin(self) -> None:
@@ -299,7 +297,7 @@ class Timeout(_OnClock):
             shared.listener.decided(self.path, self._visits, Decision(failure))
             return status
         if self._is_kept or shared.held_up_by:
-            shared.done(self)  # the deadline moves on with the time
+            shared.done(self)  # no wake: the deadline moves with the clock
         else:
             shared.wait(self, Wake(deadline_s))
         return Status.RUNNING
@@ -318,7 +316,7 @@ class Timeout(_OnClock):
 
 
 class WorkflowCall(_Begun):
-    """A workflow called by another: its inputs are bound when it begins, its result kept when it succeeds."""
+    """A call of a workflow: its inputs are bound when it begins, its result is kept when it succeeds."""
 
     def __init__(self, name: str, child: Behaviour, bind: Callable[[], None], keep_result: Callable[[], None]) -> None:
         super().__init__(name, child)
@@ -339,7 +337,7 @@ class WorkflowCall(_Begun):
 
 
 def failure_of(node: Behaviour) -> SkillFailed:
-    """Why a node failed: the failure of the leaf that decided it."""
+    """Why a node failed: the failure of the leaf or node that decided it."""
     own = getattr(node, "failure", None)
     if isinstance(own, SkillFailed):
         return own

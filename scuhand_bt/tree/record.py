@@ -1,4 +1,4 @@
-"""`record: {name: $value, …}`: values of a workflow into its sample's row, with their units."""
+"""`record: {name: $value, …}` writes values of a workflow into its sample's row, with their units."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from scuhand_bt.tree.wires import QUANTITIES, WireType
 
 @dataclass
 class Round:
-    """Which round of a loop it is, from 1."""
+    """The number of a loop's current round, from 1."""
 
     number: int = 0
 
@@ -37,7 +37,7 @@ class Record(Skill[None]):
 def recorded(
     values: Mapping[str, Any], wires: Mapping[str, WireType], rounds: Sequence[Round]
 ) -> dict[str, ValueRecorded]:
-    """The values with their units; in a loop the number of the round stands behind the name."""
+    """The values with their units. Within loops the numbers of the rounds are appended to the name: `net[2]`."""
     behind = "".join(f"[{one.number}]" for one in rounds)
     return {
         name + behind: ValueRecorded(

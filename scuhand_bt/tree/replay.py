@@ -1,9 +1,9 @@
-"""What a job did before it was interrupted, and how it is taken up again.
+"""What a job did before it was interrupted, and how it is resumed (docs/run-behaviour.md, "Resuming").
 
-The identity of an action is its place in the tree and how often the tree has come there: (path, visit). While a
-job's tree is *replayed*, an action that had ended ends again as it did, and nothing moves. The first action
-without a recorded end goes live: the arm and the pan are compared with what they were, an action that had begun
-is settled as its skill declares (`Skill.interrupted`), and from there on the job runs as any other.
+An action is identified by its place in the tree and by how often the tree has come there: (path, visit). While a tree
+is *replayed*, actions that had ended return their recorded results, and nothing moves. The first action without a
+recorded end goes *live*. Arm and pan are compared with the record, an action that had begun is settled as its skill
+declares (`Skill.interrupted`), and from there the job runs as usual.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ ENDED = ("done", "failed")
 
 @dataclass(frozen=True)
 class Recorded:
-    """An action as it stands in the journal; `outcome` "halted" is by the tree itself, "interrupted" by the run."""
+    """An action as the journal has it. Its outcome is "halted" if the tree halted it, "interrupted" if the run did."""
 
     skill: str
     inputs: str
@@ -33,7 +33,7 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Decision:
-    """A node that was no action but failed on its own account: a timeout, a guard of a `while`."""
+    """A node other than a leaf that failed for a reason of its own: a timeout, or a guard of a `while`."""
 
     failure: SkillFailed
     had_begun: bool = True
@@ -42,7 +42,7 @@ class Decision:
 
 @dataclass
 class Replay:
-    """One job's record, consumed while its tree is replayed. Without records, a job that only begins."""
+    """One job's record, consumed while its tree is replayed. Without records the job just begins."""
 
     actions: Mapping[Key, Recorded] = field(default_factory=dict)
     decisions: Mapping[Key, Decision] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class Replay:
     is_to_rejoin: bool = False
     """True until the first action has gone live."""
     at_work: frozenset[str] = frozenset()
-    """The devices of all actions that had begun and not ended: several, within a `parallel`."""
+    """The devices of all actions that had begun and not ended (several, within a `parallel`)."""
     _idle_ticks: int = 0
     _ended: int = 0
 
@@ -69,14 +69,14 @@ class Replay:
         return self.decisions.get((path, visit))
 
     def replay(self, recorded: Recorded, skill: type[Skill[Any]]) -> Any:
-        """The result of an action that had ended; raises its SkillFailed."""
+        """The result of an action that had ended; raises its SkillFailed if it had failed."""
         self._ended += 1
         if recorded.outcome == "failed":
             raise SkillFailed(recorded.code or "", recorded.result["detail"])
         return _restored(skill, recorded.result)
 
     def can_replay(self, recorded: Recorded, name: str, skill: type[Skill[Any]], inputs: str) -> bool:
-        """False where the workflow or the recipe has changed since, so that the record is not of this action."""
+        """False if workflow or recipe have changed since, so that the record is of another action."""
         if recorded.skill != name or recorded.inputs != inputs:
             return False
         try:
@@ -94,5 +94,5 @@ class Replay:
 
 
 def _restored(skill: type[Skill[Any]], result: Any) -> Any:
-    """A result as the skill gave it, from JSON."""
+    """A result as the skill returned it, from JSON."""
     return TypeAdapter(skill.result_type()).validate_python(result, by_name=True, by_alias=False)

@@ -1,4 +1,4 @@
-"""What goes on at once: the children of a `parallel` have no device, no zone and no value between them."""
+"""Checks that the children of a `parallel` share no device, no zone and no value."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -27,7 +27,7 @@ def check_side_by_side(node: Branch, defined: frozenset[str], library: Library, 
 
 
 def _check_places(node: Branch, library: Library, problems: Problems) -> None:
-    """No two children command one device, or move in one zone; and where one moves beside the arm is known to it."""
+    """No two children command one device or move in one zone; what moves beside the arm does so in a described zone."""
     used: dict[str, int] = {}
     entered: dict[str, int] = {}
     anywhere: dict[int, str] = {}
@@ -71,7 +71,7 @@ def _swings_anywhere(skill: type[Skill[Any]]) -> bool:
 
 
 def _check_values(node: Branch, defined: frozenset[str], problems: Problems) -> None:
-    """What one child sets no other sets, or reads as it was before: nobody knows which of them comes first."""
+    """A value that one child sets, no other child sets or reads: their order is not known."""
     sets, reads = [], []
     for child in node.children:
         parts = [*walk(child)]
@@ -91,7 +91,7 @@ def _check_values(node: Branch, defined: frozenset[str], problems: Problems) -> 
 
 
 def _check_records(node: Branch, library: Library, problems: Problems) -> None:
-    """No two children record one name: the sample's row has the value that came last."""
+    """No two children record the same name: which one came last is not known."""
     first: dict[tuple[str, int], int] = {}
     for number, child in enumerate(node.children, start=1):
         names = dict.fromkeys(_recorded(child, library, 0, set()))
@@ -104,7 +104,10 @@ def _check_records(node: Branch, library: Library, problems: Problems) -> None:
 
 
 def _recorded(node: TreeNode, library: Library, depth: int, seen: set[tuple[str, int]]) -> Iterator[tuple[str, int]]:
-    """The names that are recorded, also in what is called, and in how many loops: each adds its round's number."""
+    """The names recorded in a tree and its calls, each with the number of loops around it.
+
+    Each loop appends the number of its round to the name.
+    """
     if isinstance(node, Call) and node.name == RECORD:
         yield from ((name, depth) for name in node.arguments)
     elif isinstance(node, Call) and node.name in library.workflows and (node.name, depth) not in seen:

@@ -1,7 +1,7 @@
-"""What stands in for skills while a workflow is tested: a failure at the nth call, a result, a delay, by place.
+"""Stand-ins for skills in tests of workflows: a failure at the nth call, a result, or a delay, chosen by place.
 
-Places are paths of the tree, as they stand in a journal (`fill/retry/sequence.0/fallback.1/scoop`), with wildcards: `*`
-is anything within one part, `**` any parts. The first substitution that fits a call is taken.
+Places are paths of the tree as in the journal (`fill/retry/sequence.0/fallback.1/scoop`), with wildcards: `*` matches
+within one part, `**` any number of parts. The first substitution that matches a call applies.
 """
 
 import re
@@ -17,20 +17,20 @@ from scuhand_bt.problems import Mark
 
 @dataclass
 class Substitution:
-    """One rule; without `code` and `is_result` the skill itself goes on after the delay."""
+    """One rule. Without `code` and `is_result` the skill itself runs after the delay."""
 
     mark: Mark
     at: str
     call: int | None = None
-    """Only the nth call that it fits, from 1; every one, if None."""
+    """Only the nth call that matches, from 1; None for every one."""
     takes_s: float = 0.0
     code: str | None = None
-    """The failure that it ends with."""
+    """The failure code that the call ends with."""
     is_result: bool = False
-    """Whether it ends with `result`."""
+    """Whether the call ends with `result`."""
     result: Any = None
     seen: int = 0
-    """Calls that it fitted by their place."""
+    """How many calls have matched by their place."""
     used: int = 0
 
     @cached_property
@@ -40,11 +40,11 @@ class Substitution:
         return re.compile("".join(wild.get(part, re.escape(part)) for part in parts))
 
     def fits(self, path: str) -> bool:
-        """Whether it is for a place of the tree."""
+        """Whether it matches a place of the tree."""
         return self._pattern.fullmatch(path) is not None
 
     def steps(self, clock: Clock) -> Steps[Any]:
-        """What is done in the skill's stead, or before it. SkillFailed as asked."""
+        """The steps before the skill, or in its place. Raises SkillFailed as asked."""
         yield from pause(clock, self.takes_s)
         if self.code is not None:
             raise SkillFailed(self.code, "as the test has it")
@@ -58,7 +58,7 @@ class Substitutes:
     rules: Sequence[Substitution] = field(default_factory=tuple)
 
     def steps(self, path: str, clock: Clock, skill: Steps[Any]) -> Steps[Any]:
-        """The steps of an action: the skill's, or what stands in for them."""
+        """The steps of an action: the skill's, or those of the substitution that applies."""
         fitting = [rule for rule in self.rules if rule.fits(path)]
         for rule in fitting:
             rule.seen += 1
@@ -74,5 +74,5 @@ class Substitutes:
 
     @property
     def unused(self) -> list[Substitution]:
-        """Those that no call came to."""
+        """Those that never applied."""
         return [rule for rule in self.rules if not rule.used]

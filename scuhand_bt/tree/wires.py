@@ -1,7 +1,7 @@
 """The types of a workflow's wires: what may be connected to what, and how a literal is read.
 
-A wire type is a quantity (Mass, Duration, …), a plain value (Number, Integer, Text, Flag), or a class
-whose attributes can be read (`$source.powder`): Source, Container, Powder, Dose, or a lab's own.
+A wire type is a quantity (Mass, Duration, …), a plain value (Number, Integer, Text, Flag), a list, or a class whose
+attributes can be read (`$source.powder`): Source, Container, Powder, Dose, or a lab's own.
 """
 
 import inspect
@@ -23,22 +23,22 @@ from scuhand_bt.validation import refusal
 
 @dataclass(frozen=True)
 class WireType:
-    """One type; two are the same if their names and classes are."""
+    """One type. Types are equal if name, `is_class` and `optional` are."""
 
     name: str
     python: Any = field(compare=False, hash=False)
     is_class: bool = False
     optional: bool = False
     item: "WireType | None" = field(default=None, compare=False)
-    """Of a list, the type of what it lists."""
+    """For a list, the type of its items."""
 
     @property
     def is_on_pan(self) -> bool:
-        """Whether it is a mass that comes on the pan as it is."""
+        """Whether it is a mass that is put on the pan as it is."""
         return any(isinstance(one, OnPan) for one in getattr(self.python, "__metadata__", ()))
 
     def accepts(self, given: "WireType") -> bool:
-        """True if a value of type `given` may flow into this one."""
+        """Whether a value of type `given` may flow into this one."""
         if given.optional and not self.optional:
             return False
         if self.item is not None and given.item is not None:
@@ -48,11 +48,11 @@ class WireType:
         return self.name == given.name or (self.name, given.name) == ("Number", "Integer") or self.name == "Any"
 
     def attributes(self) -> Mapping[str, tuple[str, "WireType"]]:
-        """What can be read of it: name in YAML -> (name in Python, type)."""
+        """The attributes that can be read: name in YAML -> (name in Python, type)."""
         return _attributes(self.python) if self.is_class else {}
 
     def read(self, value: Any) -> Any:
-        """A literal (str, None, list, dict from YAML) as a value; ValueError says what is wrong with it."""
+        """The value of a literal (str, None, list or dict from YAML). Raises ValueError, worded for the user."""
         try:
             return self._adapter.validate_python(value)
         except ValidationError as error:
@@ -64,7 +64,7 @@ class WireType:
 
 
 def in_words(error: ValidationError) -> str:
-    """What pydantic has against a value, on one line."""
+    """Why pydantic refuses a value, on one line."""
     found = []
     for item in error.errors(include_url=False):
         name = ".".join(map(str, item["loc"]))
@@ -84,7 +84,7 @@ QUANTITIES = {
 }
 
 LARGEST = 1_000_000_000
-"""Nothing is counted further: more would be a slip of the pen."""
+"""Largest integer accepted; more is taken as a typing error."""
 
 INPUT_TYPES: Mapping[str, WireType] = {
     **{name: WireType(name, typing.Annotated[float, unit]) for name, unit in QUANTITIES.items()},
@@ -100,12 +100,12 @@ NOTHING = WireType("nothing", type(None))
 
 
 def list_of(item: WireType) -> WireType:
-    """The type of a list: written [Mass]."""
+    """The type of a list, written [Mass]."""
     return WireType(f"[{item.name}]", list[item.python], item=item)  # type: ignore[name-defined]
 
 
 def of_field(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> WireType:
-    """The wire type of a Python annotation, as pydantic keeps it: the bare type, and its metadata."""
+    """The wire type of a Python annotation. Pydantic keeps it as the bare type and its metadata."""
     if typing.get_origin(annotation) is typing.Annotated:
         inner, *more = typing.get_args(annotation)
         return of_field(inner, [*metadata, *more])
@@ -140,7 +140,7 @@ def of_field(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> Wir
 
 
 def read_attribute(value: Any, name: str) -> Any:
-    """The attribute that YAML calls `name` of a value: `mouth` reads `mouth_mm`."""
+    """The attribute of a value that YAML calls `name`: `mouth` reads `mouth_mm`."""
     return getattr(value, _attributes(type(value))[name][0])
 
 
@@ -169,7 +169,7 @@ def _find_attributes(cls: type) -> Mapping[str, tuple[str, WireType]]:
 
 
 def _by_suffix(name: str, wire: WireType) -> WireType:
-    """A bare float whose name carries a unit is that quantity."""
+    """A plain float whose name ends in a unit is that quantity."""
     if wire.name != "Number":
         return wire
     for suffix, quantity_name in _SUFFIX_TYPES.items():

@@ -1,7 +1,4 @@
-"""A workflow as it was read from its file: a small tree of dataclasses, with positions.
-
-What a composite, a decorator or a choice is called is the grammar's (`tree.grammar`).
-"""
+"""A workflow as read from its file: a tree of dataclasses with positions. The names of kinds are in `tree.grammar`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,9 +10,9 @@ from scuhand_bt.tree.wires import WireType
 from scuhand_bt.yaml_source import Node, Scalar
 
 Value: TypeAlias = Reference | Expression
-"""What has its value when the workflow runs."""
+"""A reference or expression, evaluated when the workflow runs."""
 Argument: TypeAlias = Value | Node
-"""What stands behind a parameter: such a value, or a literal."""
+"""What a parameter is given: a value, or a literal."""
 
 
 @dataclass(slots=True)
@@ -37,9 +34,9 @@ class Decorator:
     kind: str
     child: "TreeNode"
     arguments: dict[str, Argument] = field(default_factory=dict)
-    """Of `for_each` by the names that the items are given."""
+    """For `for_each`: the lists, by the names of their items."""
     codes: dict[str, Mark] = field(default_factory=dict)
-    """`on` of a retry: the failure codes it retries."""
+    """`on` of a retry: the failure codes that it retries."""
     guards: list["Call"] = field(default_factory=list)
 
 
@@ -57,7 +54,7 @@ class Call:
 
 @dataclass(slots=True)
 class Case:
-    """One way of a choice, and the value for which it is gone; None for all others."""
+    """One branch of a choice, and the value that selects it; None for all other values."""
 
     label: str
     value: Scalar | None
@@ -66,7 +63,7 @@ class Case:
 
 @dataclass(slots=True)
 class Choice:
-    """`if` or `switch`: what one of its ways is chosen by, when it begins, and they."""
+    """`if` or `switch`: `argument` selects one of the cases when the node begins."""
 
     mark: Mark
     kind: str
@@ -75,7 +72,7 @@ class Choice:
 
     @property
     def is_exhaustive(self) -> bool:
-        """Whether there is a way for every value."""
+        """Whether there is a branch for every value."""
         return any(case.value is None for case in self.cases)
 
 
@@ -84,7 +81,7 @@ TreeNode: TypeAlias = Branch | Decorator | Choice | Call
 
 @dataclass(slots=True)
 class Input:
-    """A declared input of a workflow; `default` is a literal, or None where it must be given."""
+    """A declared input of a workflow; `default` is a literal, or None if the input is required."""
 
     mark: Mark
     name: str
@@ -103,18 +100,18 @@ class Workflow:
     result: Value | None
     tree: TreeNode
     is_whole: bool = True
-    """False if its file is wrong, so that names may be missing that it is meant to have."""
+    """False if its file has mistakes, so that names may be missing."""
 
 
 def walk(node: TreeNode) -> Iterator[TreeNode]:
-    """The node and all below it, in the order of the file."""
+    """The node and all nodes below it, depth-first in the order of the file."""
     yield node
     for child in children_of(node):
         yield from walk(child)
 
 
 def children_of(node: TreeNode) -> list[TreeNode]:
-    """The nodes right below one, a `while`'s guards before its child."""
+    """The direct children of a node; a `while`'s guards come before its child."""
     if isinstance(node, Branch):
         return node.children
     if isinstance(node, Decorator):
@@ -123,7 +120,7 @@ def children_of(node: TreeNode) -> list[TreeNode]:
 
 
 def arguments_of(node: TreeNode) -> Iterator[Argument]:
-    """What a node is given."""
+    """The arguments of a node."""
     if isinstance(node, Choice):
         yield node.argument
     elif not isinstance(node, Branch):
@@ -131,7 +128,7 @@ def arguments_of(node: TreeNode) -> Iterator[Argument]:
 
 
 def references_of(argument: Argument | None) -> Iterator[Reference]:
-    """The values that an argument reads."""
+    """The references that an argument reads."""
     if isinstance(argument, Reference):
         yield argument
     elif isinstance(argument, Expression):
