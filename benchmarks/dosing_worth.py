@@ -39,7 +39,7 @@ def differences(pairs: Sequence[Pair]) -> Iterator[tuple[float, float, str]]:
 
     def counted(name: str, label: str) -> tuple[float, float, str]:
         before, after = (sum(pair[side][name] for pair in pairs) for side in (0, 1))
-        return after - before, math.sqrt(after + before), f"{label} {after:g} for {before:g}"
+        return after - before, math.sqrt(after + before), f"{label} {after:g} instead of {before:g}"
 
     good = sum(after["true"] - before["true"] for before, after in pairs) / len(pairs)
     missed = sum(of["doses"] * (1.0 - of["true"] / 100.0) for pair in pairs for of in pair)
@@ -77,11 +77,11 @@ def noise(results: Results, listed: Mapping[str, Sequence[str]]) -> str:
         pairs = pairs_of(results, world, plants, AGAIN)
         if pairs:
             figures = list(differences(pairs))
-            told = ", ".join(words for found, _, words in figures if found) or "nothing"
+            told = ", ".join(words for found, _, words in figures if found) or "no difference"
             success, mean_mg, slower = (DEVIATIONS * figures[at][1] for at in (0, 5, 6))
             parts.append(
                 f"* `{world}`, {plants}: {sum(of['doses'] for _, of in pairs):g} doses; noise is {success:.1f} points, "
-                f"{mean_mg:.2f} mg and {100.0 * math.expm1(slower):.0f} % of the time; other seeds make {told}."
+                f"{mean_mg:.2f} mg and {100.0 * math.expm1(slower):.0f} % of the time; other seeds alone: {told}."
             )
     return "\n".join(parts)
 

@@ -365,8 +365,8 @@ FIGURES = {
     [
         ({}, "no dose differs"),
         ({"true": 96.0, "over": 3, "mean_mg": -0.05, "mean_s": 10.1}, "within noise"),
-        ({"true": 90.0, "over": 8}, "success -8.0 points, too much 8 for 1"),
-        ({"beyond_20mg": 5, "out": 5}, "> 20 mg 5 for 0, false 'in tolerance' 5 for 0"),
+        ({"true": 90.0, "over": 8}, "success -8.0 points, too much 8 instead of 1"),
+        ({"beyond_20mg": 5, "out": 5}, "> 20 mg 5 instead of 0, false 'in tolerance' 5 instead of 0"),
         ({"mean_mg": 0.1, "mean_s": 12.0}, "mean error +0.20 mg, time x 1.20"),
         ({"reported": 80}, "reported good -17.0 points"),
     ],
@@ -417,7 +417,7 @@ def test_the_table_of_constants_is_filled_from_the_results() -> None:
     told = noise(of, listed)
     assert told == (
         "* `free`, shipped: 100 doses; noise is 4.0 points, 0.14 mg and 6 % of the time; "
-        "other seeds make too much 2 for 1, time x 1.01."
+        "other seeds alone: too much 2 instead of 1, time x 1.01."
     )
     page = filled(row.format("", "") + missing.format("") + marks.format("old"), of, listed)
     assert page == (
