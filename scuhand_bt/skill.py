@@ -117,22 +117,23 @@ R = TypeVar("R")
 
 
 BY_HAND_S = 60.0
-"""What a person takes to put a container on the pan, or to take it off."""
+"""Time that a person takes to put a container on the pan, or to take it off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What `plan` can say of an action before it runs."""
+    """What `plan` says of an action before it runs."""
 
     duration_s: float
     person: str | None = None
     """What a person has to do, if one is needed."""
     descent: tuple[str, float] | None = None
-    """A place that the cone comes straight down to, and from how many mm above it: found possible before a run."""
+    """A place that the cone comes straight down to, and from how many mm above it; `plan` checks that this is
+    possible."""
 
     @classmethod
     def of_change(cls, cell: CellSpec, typical_s: float, task: str) -> "Forecast":
-        """Of what changes the container on the pan: a changer takes `typical_s`, a person is told the `task`."""
+        """The forecast of a change of the container: a changer takes `typical_s`, a person is told the `task`."""
         return cls(BY_HAND_S, task) if cell.changer.driver == "operator" else cls(typical_s)
 
 
@@ -149,47 +150,46 @@ class Skill(BaseModel, Generic[R]):
     )
 
     devices: ClassVar[tuple[str, ...]] = ()
-    """The devices it commands, and so leases: arm, hand, balance, changer, and the names of `devices:` of the cell."""
+    """Devices that it commands, and so leases: arm, hand, balance, changer, and the names of the cell's `devices:`."""
     zones: ClassVar[tuple[str, ...]] = ()
-    """The zones of the cell (`zones` of `robot/cell.yaml`) in which it moves something, and so leases."""
+    """Zones of the cell (`zones` of `robot/cell.yaml`) in which it moves something, and which it so leases."""
     failures: ClassVar[Mapping[str, Failure]] = {}
-    """Failure codes of its own, beyond the shared catalogue."""
+    """Failure codes of its own, each with meaning and remedy."""
     raises: ClassVar[tuple[str, ...]] = ()
-    """The codes that its own code fails with, beside those of the devices and the engine; `explain` tells them."""
+    """Codes of the catalogue that its own code fails with, besides those of the devices and the engine (`explain`)."""
     empties_cone: ClassVar[bool] = False
-    """Whether nothing is left in the cone when it has succeeded, unless its input `keep` (`Keeping`) lets that stay."""
+    """Whether the cone is empty when it has succeeded, unless an input `keep` (`Keeping`) lets something stay."""
     typical_s: ClassVar[float] = 5.0
     interrupted: ClassVar[Literal["repeat", "reweigh", "ask"]] = "ask"
-    """How an action that had begun when the run was interrupted (a crash, a stop) is settled when it is resumed.
+    """What a resumed run does with an action that had begun when the run was interrupted (a crash, a stop).
 
-    "repeat": begin it again, after `settle`. "reweigh": the same, and `settle` finds out by the balance what had
-    arrived. "ask": the operator says whether it is done or begins again, as only a person can tell.
-    """
+    "repeat": begin it again, after `settle`. "reweigh": the same, and `settle` weighs what had arrived. "ask": the
+    operator says whether it is done or begins again, as only a person can tell."""
 
     @abstractmethod
     def run(self, cell: Cell) -> Steps[R]:
-        """Do it. Yields `Wake`s, returns the result, raises SkillFailed."""
+        """Do it: yield `Wake`s, return the result, or raise SkillFailed."""
 
     def settle(self, cell: Cell) -> Steps[None]:
-        """Bring the cell to where this action, interrupted on its way, can begin again; by default nothing is to do."""
+        """Bring the cell to where this action, interrupted on its way, can begin again; nothing by default."""
         yield from ()
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
-        """What to expect; `inputs` holds those fields whose values are known before the run.
+        """The forecast; `inputs` holds those fields whose values are known before the run.
 
-        Of a skill that doses, with hand and balance, it holds as `source` the one that was named last before it.
+        For a skill that doses, with hand and balance, `source` is the one named last before it.
         """
         return Forecast(cls.typical_s)
 
     @classmethod
     def sees(cls) -> tuple[str, ...]:
-        """The devices that it is given: those it leases, and those that a condition watches."""
+        """The devices that it is given: those it leases, or those that a condition watches."""
         return cls.devices
 
     @classmethod
     def result_type(cls) -> Any:
-        """The `Dose` of `Skill[Dose]`."""
+        """The type of the result: `Dose` for `Skill[Dose]`."""
         for base in cls.__mro__:
             metadata = getattr(base, "__pydantic_generic_metadata__", None)
             if metadata and metadata["origin"] is Skill:

@@ -1,4 +1,4 @@
-"""What `return_leftover`, `discard`, `scoop` and `withdraw` share: letting everything out of the cone."""
+"""Empty the cone: what `return_leftover`, `discard`, `scoop` and `withdraw` share (docs/scoop.md, A stroke, step 1)."""
 
 import math
 
@@ -13,25 +13,25 @@ from ._opening import open_to_let_out
 
 SHAKE_S = 3.0
 SPARE = 2.0
-"""Times as long as the flow that was learnt would need: it differs from load to load."""
+"""Safety factor on the time that the learnt flow needs, as flow differs from load to load."""
 DOUBT = 0.2
-"""The cone may hold more than believed, by this share of the load limit: scoops vary."""
+"""Share of the load limit by which the cone may hold more than believed: scoops vary."""
 LONGEST_S = 300.0
 LEAVING_MM_PER_S = 60.0
 LEAVING_TURNS_DEG = (0.0, 20.0, -20.0, 45.0, -45.0, 75.0, -75.0, 110.0, -110.0)
 POURED_FROM_MM = 30.0
-"""The lip above the mortar's edge while the cone is poured out."""
+"""Height of the lip above the edge while the cone is poured out."""
 POURING_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
-"""The axis' tilts on the way: between two of them the lip strays by some millimetres."""
+"""Tilts of the axis on the way; between two of them the lip strays by some millimetres."""
 POURING_MM_PER_S = 120.0
 POURING_TURNS_DEG = (0.0, 90.0, -90.0, 60.0, -60.0)
-"""The directions that it is poured in, from straight away from the arm: into a mortar that one, into a vessel any."""
+"""Directions of pouring, from straight away from the arm. A mortar is poured into in the first one only."""
 POURED_S = 1.0
-"""Tilted so far, all has slid out within this time."""
+"""Within this time all has slid out of a cone that is fully tilted."""
 
 
 def empty_cone(cell: Cell, source: Source) -> Steps[None]:
-    """Open the valve wide and vibrate for as long as the believed load of a source needs, then believe it empty."""
+    """Let all out through the valve: open it wide and vibrate for as long as the believed load needs."""
     yield from _shake_out(cell, source)
     cell.believed.emptied()
 
@@ -56,7 +56,7 @@ def is_over(cell: Cell, source: Source) -> bool:
 
 
 def out_of_mortar(cell: Cell) -> Steps[None]:
-    """Where a workflow goes on after a scoop that was halted in its mortar, as by a `timeout`: out of that first."""
+    """Leave the mortar in which an earlier scoop was halted, as by a `timeout`, before anything else is done."""
     for source in cell.sources.values():
         if source.sheet_key == cell.believed.sheet and is_over(cell, source) and _dips_into(cell, source):
             yield from leave_mortar(cell, source)
@@ -64,7 +64,7 @@ def out_of_mortar(cell: Cell) -> Steps[None]:
 
 
 def _dips_into(cell: Cell, source: Source) -> bool:
-    """Whether the cone's apex or its lip is lower than this mortar's edge."""
+    """Whether the cone's apex or lip is below this mortar's edge."""
     apex, rim_mm = cell.apex(), cell.hand.cone_diameter_mm / 2.0
     along_mm = math.sqrt(cell.spec.hand.sheet_radius_mm**2 - rim_mm**2)
     lip_mm = along_mm * apex.axis[2] - rim_mm * math.sqrt(max(0.0, 1.0 - apex.axis[2] ** 2))
@@ -73,17 +73,17 @@ def _dips_into(cell: Cell, source: Source) -> bool:
 
 
 def aside_mm(cell: Cell, source: Source) -> float:
-    """How far the middle of the cone's mouth, which a stroke has over its mortar, is from that of this source's."""
+    """Horizontal distance in mm from the middle of the cone's mouth to the middle of this source's mortar.
+
+    A stroke keeps the mouth over its own mortar, so the nearest one is that of a halted scoop.
+    """
     apex, rim_mm, slant_mm = cell.apex(), cell.hand.cone_diameter_mm, cell.spec.hand.sheet_radius_mm
     mouth_mm = 1000.0 * apex.position_m + math.sqrt(slant_mm**2 - (rim_mm / 2) ** 2) * apex.axis
     return math.dist(mouth_mm[:2].tolist(), cell.places_mm[source.station][:2])
 
 
 def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
-    """Out of a mortar in which a scoop was halted, straight up; what the cone may hold goes back into it.
-
-    So nothing is unknown.
-    """
+    """Lift the cone straight up out of a mortar in which a scoop was halted, and let what it may hold back in."""
     believed = cell.believed
     believed.touched(source)
     for way in _ways_up(cell, source):
@@ -93,30 +93,32 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
         except SkillFailed as failure:
             if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
                 raise
-    if len(way) == 1:  # as far up as that, or, where a wrist that is straight goes no line at all, from here
+    if len(way) == 1:  # only up, or no straight line was possible: a straight wrist has none
         yield from cell.move_to(source.station)
     yield from cell.right_of_way.go()
     yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
     held_mg = believed.cone_mg
     most_mg = min(source.powder.load_limit_mg, held_mg + believed.sources_mg[source.name])
     believed.source_holds(source.name, held_mg + believed.sources_mg[source.name] - most_mg)
-    believed.cone_holds(source, most_mg)  # known to be loaded, and no powder made, where this is halted, too
+    # a run that stops from here on knows of a loaded cone, and makes no powder from nothing
+    believed.cone_holds(source, most_mg)
     yield from empty_cone(cell, source)
     believed.returned(source.name, most_mg)
     cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
 
 def _ways_up(cell: Cell, source: Source) -> list[list[ApexPose]]:
-    """Straight up out of a mortar, then upright on the spot and to its place; or upright on the way there; or only up.
+    """Ways out of a mortar, best first: up, upright there, and to its place; upright on the way; or only up.
 
-    The arm cannot go each of them, but may with the cone turned about its own axis meanwhile, which tips nothing out.
+    Each is tried with the cone turned about its own axis too, which tips nothing out and may be easier for the arm.
     """
-    from scipy.spatial.transform import Rotation  # which not every command has to load
+    from scipy.spatial.transform import Rotation  # deferred: slow to load
 
     now, place = cell.apex(), cell.place(source.station)
     assert now.seam is not None
     top_m = now.position_m.copy()
-    hangs_mm = cell.spec.hand.sheet_radius_mm * math.sqrt(max(0.0, 1.0 - now.axis[2] ** 2))  # its rim, at most
+    # the rim hangs no lower than this below the apex
+    hangs_mm = cell.spec.hand.sheet_radius_mm * math.sqrt(max(0.0, 1.0 - now.axis[2] ** 2))
     top_m[2] = max(top_m[2], (cell.places_mm[source.station][2] + hangs_mm) / 1000)
     seams = [Rotation.from_rotvec(math.radians(deg) * now.axis).apply(now.seam) for deg in LEAVING_TURNS_DEG]
     ups = [ApexPose(top_m, now.axis, seam) for seam in seams]
@@ -124,10 +126,10 @@ def _ways_up(cell: Cell, source: Source) -> list[list[ApexPose]]:
 
 
 def pour_rest(cell: Cell, source: Source) -> Steps[None]:
-    """Pour out what a cone that gives nothing more may hold still, before a scoop tips it.
+    """Pour out what may be left in a cone whose valve gives nothing more, before a scoop tilts it.
 
-    It goes into the mortar, or into what its leftovers are discarded into: on the way to a stroke it would fall beside
-    the mortar. Where the powder would not slide, it stays, and is known to.
+    It goes into the mortar or where leftovers are discarded; otherwise it would fall beside the mortar. Powder that
+    would not slide stays in the cone, and is still accounted for.
     """
     if not slides_out(cell, source):
         return
@@ -140,30 +142,30 @@ def pour_rest(cell: Cell, source: Source) -> Steps[None]:
 
 
 def slides_out(cell: Cell, source: Source) -> bool:
-    """Whether a powder slides out of a cone that is poured: the sheet's lower side is then so steep."""
+    """Whether powder slides out of a tilted cone: its friction or repose is less than the sheet's slope."""
     half_deg = math.degrees(math.asin(cell.hand.cone_diameter_mm / 2.0 / cell.spec.hand.sheet_radius_mm))
     slope_deg = POURING_DEG[-1] + half_deg - 90.0
     return min(source.powder.wall_friction_deg, source.powder.repose_deg) < slope_deg
 
 
 def vessel_for(cell: Cell, source: Source) -> str | None:
-    """The station of what leftovers of a source are discarded into; None where they are not."""
+    """The station that leftovers of a source are discarded at; None where they are kept."""
     if not source.is_discarded:
         return None
     return source.leftover_to or cell.spec.station_of_kind("waste").name
 
 
 def _let_into(cell: Cell, station: str, source: Source, mass_mg: float) -> None:
-    """Where it is a vessel's, so much of a source is in that one: neither a mortar nor the waste bin."""
+    """Note a mass of this source in a vessel; a mortar or the waste bin is not one, and is left out."""
     if station in (vessel.name for vessel in cell.spec.vessels):
         cell.believed.let_into(station, source, mass_mg)
 
 
 def _pour(cell: Cell, source: Source, station: str) -> Steps[None]:
-    """Turn the cone over its lip above a source's mortar, or the vessel at another station, as a ladle is.
+    """Pour the cone out above a source's mortar or the vessel at another station.
 
-    The lip stands still above the middle, and the cone is turned about it, away from the arm, over a vessel else to its
-    side: whenever powder begins to slide, it falls in there. SkillFailed as `touch`.
+    The cone is turned about its lip, which stands still over the middle, so that powder falls in whenever it begins to
+    slide. It turns away from the arm; over a vessel it may turn sideways. Raises SkillFailed as `touch`.
     """
     if station == source.station:
         yield from cell.touch(_pouring(cell, station, source.mortar.height_mm, 0.0), POURING_MM_PER_S, station)
@@ -181,7 +183,10 @@ def _pour(cell: Cell, source: Source, station: str) -> Steps[None]:
 
 
 def _pouring(cell: Cell, station: str, height_mm: float, turn_deg: float) -> list[ApexPose]:
-    """The cone's poses as it is poured out over what stands so high at a station, so far aside from straight out."""
+    """The cone's poses while it is poured out at a station, over an edge `height_mm` high.
+
+    `turn_deg` is the direction, from straight away from the arm.
+    """
     x_mm, y_mm, z_mm = cell.spec.stations[station].position_mm
     toward_rad = math.atan2(y_mm, x_mm) + math.radians(turn_deg)
     out = np.array([math.cos(toward_rad), math.sin(toward_rad), 0.0])
@@ -192,7 +197,7 @@ def _pouring(cell: Cell, station: str, height_mm: float, turn_deg: float) -> lis
 
 
 def put_away(cell: Cell) -> Steps[None]:
-    """What is in the cone goes where the recipe wants it; back into its mortar, unless it is to be discarded."""
+    """Empty the cone to where the recipe wants its leftovers: back into the mortar, or into a vessel."""
     source = cell.sources[cell.believed.cone_source or ""]
     if (vessel := vessel_for(cell, source)) is not None:
         yield from empty_at(cell, vessel)
@@ -211,9 +216,10 @@ def empty_at(cell: Cell, station: str) -> Steps[None]:
     yield from cell.move_to(station)
     believed = cell.believed
     held_mg, source = believed.cone_mg, cell.sources[believed.cone_source or ""]
-    _let_into(cell, station, source, 0.0)  # whatever comes of it, the vessel has that lot in it
+    _let_into(cell, station, source, 0.0)  # noted before: this lot is in the vessel even if this is halted
     yield from _let_out(cell, source, station)
-    # Else the next stroke, made for less than there is, would bring more than the cone may carry.
+    # What a poor scoop missed is counted as still in the mortar. Else the next stroke, made for less than there is,
+    # would bring more than the cone may carry.
     missed_mg = min(held_mg, believed.missed_mg.get(source.name, 0.0))
     believed.returned(source.name, missed_mg)
     _let_into(cell, station, source, held_mg - missed_mg)
@@ -223,9 +229,9 @@ def empty_at(cell: Cell, station: str) -> Steps[None]:
 def _let_out(cell: Cell, source: Source, station: str) -> Steps[None]:
     """Empty the cone where it stands, above a source's mortar or the vessel at another station.
 
-    What a bridge may hold through the valve, open and shaken; then over the lip, which takes all, whatever the flow
-    is: what is left in a cone falls out as the next stroke tips it, beside the mortar. Through the valve alone where
-    the arm cannot pour, or the powder would not slide.
+    The valve is used first where a bridge may hold the load. Pouring over the lip then takes all, whatever the flow is;
+    what is left would fall beside the mortar in the next stroke. The valve alone is used where the arm cannot pour or
+    the powder would not slide.
     """
     is_poured = slides_out(cell, source)
     if cell.believed.is_load_doubted or not is_poured:

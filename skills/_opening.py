@@ -1,16 +1,16 @@
-"""What `open_cone`, `move_over` and the emptying of the cone share: the size in which it lets powder out."""
+"""The cone's diameter for letting powder out, shared by `open_cone`, `move_over` and all that empties the cone."""
 
 from scuhand_bt.device_specs.hand import MOUNTED_DIAMETER_MM
 from scuhand_bt.skill import Cell, Steps
 
 OPENED_MM = 0.5
-"""So near to a size the cone has it."""
+"""A diameter this near to the wanted one counts as reached."""
 
 
 def open_to_let_out(cell: Cell) -> Steps[None]:
-    """The cone as wide as it is where the valve's flow is known; where it is, nothing moves.
+    """Open the cone to the diameter at which the valve's flow is known; does nothing where it has that.
 
-    A load is opened where it was scooped, above its mortar, into which what is too much would fall.
+    A load is opened above the mortar that it came from: what may fall out falls back.
     """
     if abs(cell.hand.cone_diameter_mm - MOUNTED_DIAMETER_MM) <= OPENED_MM:
         return

@@ -1,4 +1,4 @@
-"""A question to the person at the cell."""
+"""Ask the person at the cell."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Does the valve shut?"""
+"""Check that the valve shuts."""
 
 from typing import Annotated, ClassVar
 
@@ -9,7 +9,7 @@ from scuhand_bt.skill import Cell, Failure, Millimetres, Seconds, Skill, SkillFa
 
 
 class CheckValve(Skill[Millimetres]):
-    """Open the valve over the waste bin, vibrating, and see that it shuts to zero; gives where it then stands."""
+    """Open the valve over the waste bin, vibrating, and check that it shuts to zero; returns where it then stands."""
 
     devices = ("arm", "hand")
     failures: ClassVar = {

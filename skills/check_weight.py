@@ -1,4 +1,4 @@
-"""Does the balance weigh right?"""
+"""Check the balance with a check weight."""
 
 import statistics
 from collections.abc import Mapping
@@ -24,10 +24,10 @@ from scuhand_bt.skill import (
 
 
 class CheckWeight(Skill[Milligrams]):
-    """Have the operator put a check weight on the empty pan, and off again; gives how far off the balance is.
+    """Have the operator put a check weight on the empty pan and take it off; returns the balance's error.
 
-    Arm and hand stand still from each request to its answer, and for each weighing. Several `times`, it tells the
-    balance's repeatability, and the worst of them counts.
+    With several `times` the worst error counts, and their standard deviation is kept as the balance's repeatability.
+    Arm and hand stand still from each request to its answer, and for each weighing.
     """
 
     raises = (Code.OPERATOR_REFUSED, "balance.inaccurate", "balance.not_bare")
@@ -86,7 +86,7 @@ class CheckWeight(Skill[Milligrams]):
         return error_mg
 
     def _weigh(self, cell: Cell) -> Steps[float]:
-        """Put on and off once: how much more it weighs than it is."""
+        """Weigh the check weight once; returns the error in mg, positive where the balance shows too much."""
         bare = yield from cell.right_of_way.stable_mean()
         yield from self._ask(cell, f"Put the check weight of {format_mass(self.weight_mg)} on the empty pan.")
         cell.weight_on_pan(self.weight_mg)

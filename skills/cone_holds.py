@@ -1,25 +1,24 @@
-"""Is there powder of the right kind in the cone?"""
+"""Check that the cone holds enough of the right powder."""
 
 from scuhand_bt.dosing.strokes import LAST_SHARE
 from scuhand_bt.skill import Cell, Code, Condition, Milligrams, Powder, SkillFailed
 
 
 class ConeHolds(Condition):
-    """Hold if the cone is believed to contain this powder, enough of it, and to let it out."""
+    """Hold if the cone is believed to contain enough of this powder, and to let it out."""
 
     raises = (Code.HAND_CONE_EMPTY, Code.HAND_WRONG_POWDER)
     watches = ("hand",)
 
     powder: Powder
     lot: str | None = None
-    """Of which lot it is to be: "" for a source that names none; None for any."""
+    """The lot that it must be of: "" for a source that names none, None for any."""
     at_least_mg: Milligrams = 1.0
     wanted_mg: Milligrams = 0.0
-    """What is to be dosed of it, without the last of its load; a dose that needs several loads begins with this one.
+    """The mass to be dosed from it. The last third of the load is not counted, as it flows badly.
 
-    Of a source whose scoops are not known, or bring other than they should, doses that are large enough use a load to
-    its end, which tells what they bring.
-    """
+    A dose too large for one load only needs more than that third. A load whose yield is to be learnt is used to its end
+    (docs/scoop-belief.md, Which loads are used up)."""
 
     def check(self, cell: Cell) -> None:
         believed = cell.believed
@@ -31,9 +30,9 @@ class ConeHolds(Condition):
             is_one_load = self.wanted_mg + last_mg <= source.powder.load_limit_mg
             enough_mg = max(enough_mg, last_mg + (self.wanted_mg if is_one_load else 0.0))
             if load.may_be_used_up(self.wanted_mg, believed.cone_mg, believed.seen_yields.get(source.name)):
-                enough_mg = 0.0  # and more than is believed may be there
+                enough_mg = 0.0  # the load may be larger than believed, and is used up to learn that
             if load.scooped_mg > 0.0 and load.came_mg == 0.0:
-                enough_mg = self.at_least_mg  # the next scoop would bring no more than this one
+                enough_mg = self.at_least_mg  # untouched: another scoop would bring no more
         if source is None or believed.cone_mg < enough_mg:
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if believed.is_load_doubted:

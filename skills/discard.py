@@ -1,4 +1,4 @@
-"""What is in the cone goes to waste."""
+"""Empty the cone into the waste bin."""
 
 from scuhand_bt.skill import Cell, Skill, Steps
 

@@ -1,4 +1,4 @@
-"""A container off the balance that counts no more."""
+"""Take a container off the balance whose contents do not count."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from scuhand_bt.skill import Cell, ContainerDiscarded, Forecast, Skill, Steps
 
 
 class DiscardContainer(Skill[None]):
-    """Take the container off the pan to throw away what is in it: what was dosed into it is no dose of the sample."""
+    """Take the container off the pan to throw its contents away; its doses do not count for the sample."""
 
     devices = ("changer", "balance")
     zones = ("pan",)
@@ -25,7 +25,7 @@ class DiscardContainer(Skill[None]):
         believed = cell.believed
         of_bracket = believed.bracket.container if believed.bracket is not None else None
         container = believed.pan.id if believed.pan is not None else of_bracket
-        if container is not None:  # else it went before an interruption
+        if container is not None:  # None where it went before an interruption
             cell.record.event(ContainerDiscarded(container=container))
             believed.discarded()
         yield from take_container_away(cell)

@@ -1,4 +1,8 @@
-"""A dose: powder from the cone's apex into the container on the balance, by a dosing controller."""
+"""Dose powder from the cone's apex into the container on the balance, with a dosing controller.
+
+A dose is weighed before and after with the hand in place (g0, g1, g1' of docs/weighing.md). Between the two, the
+controller opens and shuts the valve (docs/dosing.md). When no powder comes, `_gave_out` tells why (docs/no-powder.md).
+"""
 
 import math
 from collections.abc import Mapping
@@ -53,25 +57,25 @@ from scuhand_bt.skill import (
 )
 
 ASIDE_MM = 2.0
-"""The apex is taken to be over the container where it is no farther than this from its place."""
+"""The apex counts as over the container if it is no farther than this from its place."""
 ALLOWED_SHARE = 0.1
-"""Of the tolerance: two weighings of one thing that differ by less agree."""
+"""Two weighings of one thing agree if they differ by less than this share of the tolerance."""
 FINE_S = 12.0
-"""What a dose takes beside its full flow: its controller leaves room for the uncertainty that there is by then."""
+"""Time [s] that a dose takes beside its full flow, for the uncertainty that its controller is given."""
 DIFFERENT_READINGS = 12
-"""So many that are all multiples of two digits apart come by chance once in 2^(n-1); of more digits, more rarely."""
+"""So many different readings are all multiples of two digits apart, by chance, once in 2^(n-1) times."""
 FELL_NOISES = 5.0
-"""In sound dry runs the readings of a dose that is not shaken never fall by more than two digits."""
+"""Least fall of the zero that counts, in digits or noises; sound dry runs show two digits at most."""
 RINGS_S = 1.0
-"""So long after the motor has stopped readings may still be of when it went."""
+"""For so long after the motor has stopped, readings may still be disturbed by it."""
 FRESH_LOAD_MG = 1000.0
-"""With less in the mortar a fresh load may not be enough for the last of a dose."""
+"""With less in the mortar, a fresh load may not be enough for the last of a dose."""
 ROUNDS = 4
-"""How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
+"""How often a dose is continued that was finished, and was under once it had been watched."""
 
 
 def _untold(shown_mg: float) -> str:
-    """What a balance that is not believed shows of a dose that is none therefore: powder has fallen all the same."""
+    """What a failure says of powder that fell, but is no dose because the balance is not to be believed."""
     return f"; it shows {shown_mg:.1f} mg in the container, which are not told as a dose"
 
 
@@ -107,9 +111,9 @@ class Dispense(Skill[Dose]):
     mass_mg: Annotated[Milligrams, Field(gt=0)]
     tolerance_mg: Annotated[Milligrams, Field(gt=0)] = 2.0
     controller: Annotated[str, AfterValidator(_known_controller)] = ""
-    """A dosing controller by name; the run's, if none is named."""
+    """The name of a dosing controller; the run's, if none is given."""
     may_scoop_again: bool = False
-    """What calls it scoops anew on hand.cone_empty: the last of the dose is not shaken out of the rest of a load."""
+    """Whether the workflow scoops again on hand.cone_empty; the last of a dose then comes out of a fresh load."""
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
@@ -125,7 +129,7 @@ class Dispense(Skill[Dose]):
         bracket = cell.believed.bracket
         if bracket is None or cell.believed.pan_empty_mg is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: `tare` comes before `dispense`")
-        self.request(cell)  # what cannot be dosed is refused before anything is weighed
+        self.request(cell)  # refuses what cannot be dosed before anything is weighed
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
         self._require_over(cell)
@@ -142,14 +146,14 @@ class Dispense(Skill[Dose]):
     def _dose(
         self, cell: Cell, earlier: Gross, empty: StableMean
     ) -> Steps[tuple[DoseRun, Reference, Gross, StableMean]]:
-        """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
+        """Dose, watch the pan and weigh; returns the run, its reference, and the last two weighings."""
         believed, digit_mg, before = cell.believed, cell.spec.balance.readability_mg, weighing_of(empty)
         lot, bracket = self._source(cell).sheet_key, believed.bracket
         assert bracket is not None
         drift = significant(drift_between(earlier, before, digit_mg), digit_mg)
         later = math.inf
         if (self.controller or cell.controller) == DEFAULT_CONTROLLER:
-            # Others stop at the tolerance's edge, and a later dose of another powder leaves this one less certain.
+            # Others stop at the tolerance's edge; a later dose of another powder makes this one less certain.
             others = (dosed for other, dosed in bracket.doses.items() if other != lot)
             later = later_mg(bracket.bare, bracket.loaded, others, digit_mg)
         reference = Reference(before, drift, bracket.dosed_mg(lot), digit_mg, later)
@@ -191,14 +195,14 @@ class Dispense(Skill[Dose]):
         return run, reference, after, mean
 
     def _is_under(self, cell: Cell, dose: Dose, reference: Reference) -> bool:
-        """Whether it is likely to be told under when its container has gone."""
+        """Whether its verdict, once its container has gone, is likely to be under."""
         assert cell.believed.bracket is not None
         u_mg = reference.in_the_end_mg(dose.uncertainty_mg, cell.believed.bracket.drift)
         return judge(self.mass_mg, self.tolerance_mg, dose.dispensed_mg, u_mg) == "under"
 
     @staticmethod
     def _fell_mg(cell: Cell, run: DoseRun) -> float:
-        """By how much the zero fell, by the readings that no motor has disturbed, nor had so a moment before."""
+        """By how much the zero fell in the dose [mg], by readings that no motor disturbs; 0 if chance explains it."""
         times_s, readings_mg, shaken_s = list[float](), list[float](), -math.inf
         for point in run.curve:
             if point.vibration > 0.0:
@@ -215,7 +219,7 @@ class Dispense(Skill[Dose]):
 
     @staticmethod
     def _require_readability(cell: Cell, run: DoseRun, shown_mg: float) -> None:
-        """A balance that holds its display, or shows finer digits than it weighs: all are multiples of something."""
+        """Refuse a display that shows no more than multiples of several digits, or that holds what it shows."""
         digit_mg = cell.spec.balance.readability_mg
         readings_mg = [point.net_mg for point in run.curve if not point.stable]
         seen = {round(mg / digit_mg) for mg in readings_mg}
@@ -236,7 +240,7 @@ class Dispense(Skill[Dose]):
 
     @staticmethod
     def _require_alive(cell: Cell, shown_mg: float) -> None:
-        """A frozen display hides what has come since."""
+        """Refuse a frozen display: it hides what has come since."""
         if stands_still(cell):
             raise SkillFailed(Code.BALANCE_COARSE, STOOD_STILL + _untold(shown_mg))
 
@@ -246,9 +250,9 @@ class Dispense(Skill[Dose]):
         return ALLOWED_SHARE * self.tolerance_mg
 
     def settle(self, cell: Cell) -> Steps[None]:
-        """The apex over the container again; what has arrived since that was last weighed has left the cone.
+        """Bring the apex back over the container, and count what has arrived since the last weighing.
 
-        SkillFailed container.changed where more has come, or less, than can have.
+        Raises SkillFailed container.changed where more has come, or less, than can have.
         """
         require_unchanged(cell)
         container = cell.believed.pan
@@ -261,9 +265,9 @@ class Dispense(Skill[Dose]):
 
     @staticmethod
     def _require_over(cell: Cell) -> None:
-        """What falls beside the mouth is lost, and looks like powder that does not flow.
+        """Refuse to dose beside the mouth: that powder is lost, and looks like powder that does not flow.
 
-        A real arm stands some millimetres aside of where it was sent: that falls into most mouths.
+        A real arm stands some millimetres off its place, which is inside most mouths.
         """
         container, aside_mm = cell.believed.pan, cell.aside_of_pan_mm()
         if container is not None and aside_mm > container.mouth_mm / 2:
@@ -274,7 +278,7 @@ class Dispense(Skill[Dose]):
             )
 
     def request(self, cell: Cell) -> DoseRequest:
-        """What its controller is asked for, by what is known of powder, balance and hand now."""
+        """The controller's task; raises SkillFailed dose.too_small, container.too_small or hand.cone_empty."""
         hand, balance, container = cell.spec.hand, cell.spec.balance, cell.believed.pan
         if self.tolerance_mg < balance.least_tolerance_mg:
             raise SkillFailed(
@@ -334,7 +338,7 @@ class Dispense(Skill[Dose]):
             cell.balance_belief = run.finish.balance
 
     def _judged(self, cell: Cell, run: DoseRun) -> Dose:
-        """What of this powder is in the container by now, and what is to be said of it."""
+        """The dose of this powder as weighed so far, and its verdict."""
         believed = cell.believed
         assert believed.bracket is not None
         so_far, lot = believed.dosing, self._source(cell).sheet_key
@@ -355,6 +359,7 @@ class Dispense(Skill[Dose]):
         )
 
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:
+        """Raise SkillFailed if the load gave out, or the dose is over or was not reached; else return."""
         reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
         if run.finish.reason in ("empty", "no_flow"):
             raise self._gave_out(cell, reached, dose)
@@ -370,11 +375,11 @@ class Dispense(Skill[Dose]):
     def _gave_out(self, cell: Cell, reached: str, dose: Dose) -> SkillFailed:
         """Why no powder comes: an empty cone, a bridge or a poor scoop, or a source that gives nothing.
 
-        A valve that does not follow is not among them: the hand has told that, with hand.valve_stuck.
+        A stuck valve is not among them: the hand has reported that as hand.valve_stuck.
         """
         believed, source = cell.believed, self._source(cell)
         came_mg, held_mg = believed.load.came_mg, believed.cone_mg
-        # A small dose of which nothing has come lacks all of it, and not its last milligrams.
+        # Of a small dose of which nothing has come, all is missing and not only its last milligrams.
         has_begun = dose.dispensed_mg > self.tolerance_mg or not believed.load.is_barren
         lacked_mg = -dose.error_mg if has_begun else math.inf
         believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow", lacked_mg=lacked_mg)

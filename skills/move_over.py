@@ -1,4 +1,4 @@
-"""The cone's apex over a container's mouth."""
+"""Bring the cone's apex over a container's mouth."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -18,7 +18,8 @@ LOWERING_MM_PER_S = 60.0
 class MoveOver(Skill[None]):
     """Carry the cone over the container on the pan, axis upright, apex at the dispensing height.
 
-    The last `from_above` of the way is straight down: what trickles from the valve there falls into a narrow mouth.
+    The last `from_above` of the way is straight down, so that powder that trickles from the valve falls into a narrow
+    mouth.
     """
 
     raises = (Code.CONTAINER_MISSING,)

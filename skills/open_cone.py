@@ -1,4 +1,4 @@
-"""The cone as wide as it lets powder out."""
+"""Open the cone to the diameter at which it lets powder out."""
 
 from scuhand_bt.skill import Cell, Skill, Steps
 
@@ -6,9 +6,9 @@ from ._opening import open_to_let_out
 
 
 class OpenCone(Skill[None]):
-    """Open the cone to the size in which it lets powder out: after a scoop, while something else goes on.
+    """Open the cone to the size at which it lets powder out; saves time after a scoop, beside another action.
 
-    `move_over` and whatever empties the cone do it before they begin, where it was not done yet.
+    Otherwise `move_over`, and whatever empties the cone, does it first.
     """
 
     devices = ("arm", "hand")

@@ -1,4 +1,4 @@
-"""The arm out of the way."""
+"""Move the arm out of the way."""
 
 from scuhand_bt.skill import Cell, Skill, Steps
 

@@ -1,4 +1,4 @@
-"""A container onto the balance, checked by its weight."""
+"""Put a container on the balance, and check it by its weight (docs/weighing.md, One dose, step by step: a0 and l0)."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -90,7 +90,10 @@ class PlaceContainer(Skill[None]):
         believed.placed(weighing_of(bare), weighing_of(loaded))
 
     def _require_known(self, cell: Cell) -> None:
-        """SkillFailed container.changed where nobody knows what it holds that was on the pan before, or where it is."""
+        """Refuse a container that was on the pan before, where its contents or its place are unknown.
+
+        Raises SkillFailed container.changed.
+        """
         container, before = self.container.id, cell.believed.had_gone(self.container.id)
         if before is None:
             return
@@ -101,11 +104,12 @@ class PlaceContainer(Skill[None]):
             raise SkillFailed(Code.CONTAINER_CHANGED, f"'{container}' was on the pan before: {refilled}")
 
     def _exchanged(self, cell: Cell) -> Steps[StableMean]:
-        """The container on the pan; what the pan weighed bare before it came."""
+        """Exchange what is on the pan for this container; returns the weighing of the bare pan before it came (a0)."""
         if not cell.changer.needs_person and not cell.spec.changer.takes(kind := self.container.name):
             raise SkillFailed(Code.CONTAINER_MISSING, f"the changer has no slot for a container of the kind {kind}")
         bare = yield from take_container_away(cell, self.container)
-        self._require_known(cell)  # it may be the one that went, and have shown just then that it was changed
+        # the container that just went may be this one, and its weight may have shown that it was changed
+        self._require_known(cell)
         if (short := self._short_of(cell)) is not None:
             yield from self._fill(cell, short)
             bare = yield from cell.right_of_way.stable_mean()
@@ -113,22 +117,25 @@ class PlaceContainer(Skill[None]):
         return bare
 
     def _kinds(self, cell: Cell) -> list[str]:
-        """Of the containers that are to come without a visit between: the sample's at its first one, else of this."""
+        """The kinds that the changer must have without being filled again: all of the sample's at its first container.
+
+        For a later one, only that container's.
+        """
         names = [one.id for one in cell.of_job]
         begins = self.container.id in names and not any(name in cell.believed.slots for name in names)
         return [one.name for one in cell.of_job] if begins else [self.container.name]
 
     def _short_of(self, cell: Cell) -> str | None:
-        """The kind of which the changer has too few left; None where it has enough, or this one its slot already."""
+        """The kind that the changer has too few of; None if it has enough, or has this container's slot."""
         if cell.changer.needs_person or self.container.id in cell.believed.slots:
             return None
         changer = cell.spec.changer
         return changer.short_of(slots_used(cell.believed, changer), self._kinds(cell))
 
     def _fill(self, cell: Cell, kind: str) -> Steps[None]:
-        """All slots filled by the operator, the pan bare: what stands there has its slot with it.
+        """Have the operator fill all slots, the pan being bare: the slot of a container there is filled, too.
 
-        SkillFailed operator.refused.
+        Raises SkillFailed operator.refused.
         """
         changer, used = cell.spec.changer, slots_used(cell.believed, cell.spec.changer).get(kind, 0)
         slots, of_kind = changer.slots_for(kind), f" {kind}" if kind else ""

@@ -1,4 +1,4 @@
-"""More powder into a mortar, before it runs short."""
+"""Have a mortar refilled before it runs short."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from scuhand_bt.skill import Cell, Code, Forecast, Refilled, Skill, SkillFailed,
 
 
 class RefillMortar(Skill[None]):
-    """Have a person put what the recipe says into the mortar of a source, while arm and hand stand still."""
+    """Have a person put what the recipe says into a source's mortar; arm and hand stand still."""
 
     raises = (Code.OPERATOR_REFUSED,)
     devices = ("arm", "hand")

@@ -1,4 +1,4 @@
-"""The container off the balance."""
+"""Take the container off the balance."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from scuhand_bt.skill import Cell, Forecast, Skill, Steps
 
 
 class RemoveContainer(Skill[None]):
-    """Take the container off the pan, and weigh the bare pan: that closes the bracket about what was dosed into it."""
+    """Take the container off the pan and weigh the bare pan, which closes the bracket about what was dosed into it."""
 
     devices = ("changer", "balance")
     zones = ("pan",)

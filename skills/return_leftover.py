@@ -1,4 +1,4 @@
-"""What is left in the cone goes where the recipe wants it: kept for the next sample, back, or away."""
+"""Put what is left in the cone where the recipe wants it: kept for the next sample, back, or away."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from ._emptying import out_of_mortar, pour_rest, put_away
 
 
 class ReturnLeftover(Skill[None]):
-    """Empty the cone, of this source's powder lot: as the recipe's `leftover` says, else back into its mortar."""
+    """Empty the cone of this source's powder, to where the recipe's `leftover` says, or back into its mortar."""
 
     raises = (Code.HAND_WRONG_POWDER,)
     devices = ("arm", "hand")
@@ -19,7 +19,8 @@ class ReturnLeftover(Skill[None]):
 
     source: Source
     keep: Keeping = "never"
-    """Whether it may stay in the cone for the next sample: only as the recipe's `leftover` says, or if it is silent."""
+    """Whether it may stay in the cone for the next sample: never, if the recipe's `leftover` says `keep` (`if_told`),
+    or also if the recipe says nothing (`unless_told`)."""
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:

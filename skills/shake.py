@@ -1,4 +1,4 @@
-"""A shake of the cone."""
+"""Shake the cone."""
 
 from typing import Annotated
 
@@ -10,7 +10,7 @@ from scuhand_bt.skill import Cell, Ratio, Seconds, Skill, Steps, pause
 class Shake(Skill[None]):
     """Vibrate the closed cone for a while, to bring powder down its wall or break a bridge.
 
-    Beside a weighing, or a container that is changed, it waits for the end of that.
+    It waits for the end of any weighing or change of a container.
     """
 
     devices = ("hand",)

@@ -1,4 +1,4 @@
-"""A fresh sheet, so that no powder touches what another has touched."""
+"""Have a fresh sheet mounted, so that no powder touches what another has touched."""
 
 from collections.abc import Mapping
 from typing import Any

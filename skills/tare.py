@@ -1,21 +1,20 @@
-"""The software tare: the stable gross before the first powder."""
+"""Tare by software: weigh the container before its first powder."""
 
 from scuhand_bt.cell.pan_cleared import weigh_broken_off
 from scuhand_bt.cell.weighing import require_unchanged, weigh_until_still, weighing_of
 from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, Tared
 
 STILL_DIGITS = 2.0
-"""A container that comes to rest changes its weight by no more than this from one weighing to the next."""
+"""A container at rest changes by no more than this many digits from one weighing to the next."""
 AT_ONCE_READINGS = 2.0
-"""No more have come since a weighing after which nothing was done."""
+"""A weighing no more than this many balance periods old is used again."""
 
 
 class Tare(Skill[Milligrams]):
     """Weigh the container on the pan before its first powder; no tare command is sent to the balance.
 
-    Where it comes at once after `place_container`, the container's own weighing is that; the dose weighs it once more.
-
-    What is in it already, also of a dose that broke off, is of its doses still.
+    Directly after `place_container` it uses that skill's weighing; the dose weighs once more. What a container already
+    holds, also of a dose that broke off, stays with its doses.
     """
 
     raises = (Code.CONTAINER_MISSING,)

@@ -1,4 +1,4 @@
-"""A walk through the cell."""
+"""Move through the cell."""
 
 from scuhand_bt.skill import Cell, Skill, Steps
 

@@ -1,4 +1,4 @@
-"""A pause."""
+"""Pause."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any

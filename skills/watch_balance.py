@@ -1,4 +1,4 @@
-"""Does the balance stand still?"""
+"""Check that the balance stands still."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -10,13 +10,13 @@ from scuhand_bt.dosing.characteristic import noise_and_drift
 from scuhand_bt.skill import BalanceWatched, Cell, Code, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
 
 LEAST = 3
-"""Readings that tell a noise about a drift."""
+"""The fewest readings that give both a noise and a drift."""
 
 
 class WatchBalance(Skill[Milligrams]):
-    """Read the balance for a while, with nothing changing on its pan; gives how far its readings went apart.
+    """Read the balance for a while, with nothing changing on its pan; returns the span of its readings.
 
-    Hand and changer stand still meanwhile, else it begins again; the arm may move: whether the zero follows it is seen.
+    Hand and changer stand still, or it begins again. The arm may move, which shows whether the zero follows it.
     """
 
     raises = (Code.BALANCE_UNSTABLE,)
@@ -45,7 +45,7 @@ class WatchBalance(Skill[Milligrams]):
         return span_mg
 
     def _watch(self, cell: Cell) -> Steps[list[tuple[float, float]]]:
-        """When the balance showed what, once it had come to rest."""
+        """The readings as (time in s, value in mg), from when the balance has come to rest."""
         yield from cell.balance.stable_mean(cell.spec.balance.settles_s)
         end_s = cell.clock.now_s + self.duration_s
         curve: list[tuple[float, float]] = []

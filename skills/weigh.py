@@ -1,15 +1,15 @@
-"""The container on the pan, weighed for its own sake."""
+"""Weigh the container on the pan."""
 
 from scuhand_bt.cell.weighing import require_unchanged, weigh_until_still, weighing_of
 from scuhand_bt.dosing.bracket import dose_between, total
 from scuhand_bt.skill import Cell, Code, Skill, SkillFailed, Steps, Weighed
 
 STILL_DIGITS = 2.0
-"""Two weighings in a row differ by no more than this."""
+"""Two weighings in a row agree if they differ by no more than this many digits."""
 
 
 class Weigh(Skill[Weighed]):
-    """Weigh the container on the pan; gives its gross, and the net that it has gained since it was weighed empty."""
+    """Weigh the container on the pan; returns its gross, and the net that it has gained since it was weighed empty."""
 
     raises = (Code.CONTAINER_MISSING,)
     devices = ("balance",)

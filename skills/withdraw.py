@@ -1,11 +1,11 @@
-"""The cone out of a mortar."""
+"""Bring the cone out of a mortar."""
 
 from scuhand_bt.skill import Cell, Skill, Steps
 
 from ._emptying import aside_mm, is_over, leave_mortar
 
 UPRIGHT = 0.999
-"""Cosine of the axis' tilt, at most."""
+"""Cosine of the axis' tilt above which the cone counts as upright."""
 NEAR_MM = 2.0
 
 
@@ -23,7 +23,8 @@ class Withdraw(Skill[None]):
         axis, (_, _, apex_mm) = cell.apex().axis, cell.apex_mm()
         for source in sorted(cell.sources.values(), key=lambda source: aside_mm(cell, source)):
             is_above = axis[2] > UPRIGHT and apex_mm > cell.places_mm[source.station][2] - NEAR_MM
-            # Before it goes in a scoop tells what its sheet touches: of mortars side by side it is in no other lot's.
+            # The sheet was noted before a scoop went in: so of mortars side by side, the cone is in none with another
+            # lot.
             if source.sheet_key == cell.believed.sheet and is_over(cell, source) and not is_above:
                 yield from leave_mortar(cell, source)
                 return

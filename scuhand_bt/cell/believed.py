@@ -1,14 +1,14 @@
-"""What a cell is believed to hold, from what was measured and commanded; never the true mass.
+"""What a cell is believed to hold, by what was measured and commanded; never the true mass.
 
-Everybody reads it; only its verbs change it, each named for something that happened at the cell. They keep these
-invariants, whatever happens in whatever order:
+Everybody may read it. Only its verbs change it, each named for something that happened at the cell. They keep these
+invariants, in whatever order things happen:
 
 - no mass is negative, and no count;
 - powder in the cone has a source, and the sheet has touched that source's powder lot (`Source.sheet_key`);
 - an empty pan has no gross and no tare, and only a container of a known gross has a tare;
 - a fresh sheet holds nothing.
 
-A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
+A verb raises ValueError, and changes nothing, where what it says contradicts what is believed.
 """
 
 import math
@@ -25,62 +25,62 @@ from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.specs import Container, Source
 
 COMES_MG = 1.0
-"""Less of a load that has come is nothing: a zero may have walked as far."""
+"""Less than this of a load counts as nothing: the zero may have wandered as far."""
 LAST_LOADS = 4
-"""So many loads in a row that gave a dose's last milligrams in vain: others would not give them either."""
+"""After so many loads in a row that gave a dose's last milligrams in vain, no further ones are tried."""
 
 
 @dataclass(frozen=True)
 class DoseSoFar:
-    """What the container on the pan has cost until now, over all scoops and attempts."""
+    """What has been done for the container on the pan until now, over all scoops and attempts."""
 
     began_s: float = 0.0
     pulses: int = 0
     scoops: int = 0
     vibration_s: float = 0.0
     target_mg: float | None = None
-    """What is being dispensed towards now; None while nothing may flow into the container."""
+    """The present target; None while nothing may flow into the container."""
     is_unweighed: bool = False
-    """A dose broke off: what had left the cone then was not weighed by a stable mean yet."""
+    """Whether a dose broke off whose powder has no stable mean yet."""
     in_vain: int = 0
-    """Loads in a row that gave out with its last milligrams missing, since powder came."""
+    """Loads in a row that gave out with the dose's last milligrams missing, since powder came."""
 
 
 @dataclass(frozen=True)
 class Believed(BelievedPowder):
-    """What the cell is believed to hold. Frozen to all but its own verbs."""
+    """What the cell is believed to hold; changed by its own verbs only."""
 
     slots_used: int = 0
     """Containers taken from the changer since it was filled."""
     slots_of_kinds: Counts = field(default_factory=lambda: MappingProxyType({}))
     """The same, by their kind."""
     slots: Counts = field(default_factory=lambda: MappingProxyType({}))
-    """By container, the slot of the changer that it came from, from 0, since it was filled."""
+    """By container, the slot of the changer that it came from, counted from 0, since the changer was filled."""
     containers_used: Counts = field(default_factory=lambda: MappingProxyType({}))
-    """Containers that were put on the pan, by kind."""
+    """Containers put on the pan, by kind."""
     pan: Container | None = None
-    """The container that stands on the pan, whether it was weighed yet or not: the arm keeps clear of it."""
+    """The container on the pan, weighed or not: the arm keeps clear of it."""
     pan_empty_mg: float | None = None
-    """Stable gross with that container, before its first powder: the software tare."""
+    """Stable gross of that container before its first powder: the software tare."""
     pan_gross_mg: float | None = None
-    """The last stable gross with that container; None while containers are changed."""
+    """Its last stable gross; None while containers are changed."""
     dosing: DoseSoFar = field(default_factory=DoseSoFar)
     bracket: Bracket | None = None
-    """The weighings about the container that stands on the pan, or stood there until the bare pan is weighed again."""
+    """The weighings about the container on the pan, until the bare pan is weighed after it."""
     closed: tuple[ClosedBracket, ...] = ()
-    """What containers that have gone came to; until the batch has noted it."""
+    """Results of containers that have gone, until the batch has noted them."""
     gone: tuple[ClosedBracket, ...] = ()
-    """What containers came to that have gone in this job, each once: they may be put on the pan again."""
+    """Results of the containers that have gone in this job, each once: they may come to the pan again."""
     told_lots: tuple[str, ...] = ()
-    """Powder lots that were in containers of this run which have gone, their brackets closed, whatever came out."""
+    """Powder lots whose containers have gone in this run, whether their brackets closed or not."""
     is_zero_doubted: bool = False
-    """The balance's zero was seen to step, or the last bracket did not close: one has to, before it is believed."""
+    """Whether the zero was seen to step, or the last bracket did not close; the next one to close is not believed."""
     given_up: str = ""
-    """Why the container that was last on the pan counts no more; empty where it does."""
+    """Why the container last on the pan no longer counts; empty if it does."""
     zero_stepped_mg: float = 0.0
-    """By how much the balance's zero was seen to step at most: so much may have hidden in any dose of the run."""
+    """The largest step of the zero seen in this run: any dose may hide one as large."""
     drift_mg_per_s: float = 0.0
-    """How fast a full container's weight was seen to change at most, with the valve shut: any dose's may have."""
+    """The fastest change of a full container's weight seen with the valve shut: any dose may have had it."""
 
     @property
     def seen_mg(self) -> float:
@@ -108,7 +108,7 @@ class Believed(BelievedPowder):
     def brought(self, container: Container, *, from_changer: bool, first_slot: int | None = None) -> None:
         """A container was put on the pan, and is not weighed yet.
 
-        `first_slot` is the first one of the changer that is for its kind, where kinds have slots of their own.
+        `first_slot` is the changer's first slot for its kind, where kinds have slots of their own.
         """
         kind = container.name
         slots = {**self.slots, container.id: slot_of(self, container, first_slot)} if from_changer else self.slots
@@ -125,23 +125,26 @@ class Believed(BelievedPowder):
         )
 
     def placed(self, bare: Gross, loaded: Gross) -> None:
-        """The container on the pan weighs what its kind does, and what it held before. ValueError without one."""
+        """The container on the pan has the weight of its kind and of what it held before.
+
+        Raises ValueError without one.
+        """
         if self.pan is None:
             raise ValueError("no container stands on the pan")
         bracket = Bracket(self.pan.id, bare, loaded, loaded)
         if (before := self.had_gone(self.pan.id)) is not None:
-            lot = next(reversed([*before.doses]), "")  # what an outage finds in it before another dose is of that
+            lot = next(reversed([*before.doses]), "")  # what an outage finds in it before another dose is of that lot
             bracket = replace(bracket, lot=lot, carried=before.doses, lasted_s=before.lasted_s)
         self._set(pan_gross_mg=loaded.gross_mg, bracket=bracket, given_up="")
 
     def had_gone(self, container: str) -> ClosedBracket | None:
-        """What a container came to that was on the pan before in this job, and got powder there."""
+        """The result of a container that was on the pan before in this job, and got powder there."""
         return next((one for one in self.gone if one.container == container), None)
 
     def rebracketed(self, bare: Gross, loaded: Gross, empty: Net, held: Net, left_cone_mg: float) -> None:
-        """After an outage the same container was weighed by the bare pan, and holds so much; all weighings begin anew.
+        """After an outage the same container was weighed against the bare pan; all weighings begin anew.
 
-        What has come meanwhile has left the cone, and is of the lot that was dosed last. ValueError without a bracket.
+        What has come meanwhile has left the cone, and is of the lot dosed last. Raises ValueError without a bracket.
         """
         bracket = self.bracket
         if bracket is None or self.pan is None:
@@ -158,7 +161,7 @@ class Believed(BelievedPowder):
         )
 
     def container_given_up(self, why: str) -> None:
-        """What stands on the pan, if anything does, is not what was weighed there, or nobody knows."""
+        """What stands on the pan is not what was weighed there, or nobody knows what it is."""
         bracket = self.bracket
         if bracket is None:
             return
@@ -175,7 +178,7 @@ class Believed(BelievedPowder):
         )
 
     def discarded(self) -> None:
-        """What stands on the pan is thrown away as it goes: with powder in it, it does not come again."""
+        """What stands on the pan is thrown away as it goes; with powder in it, it does not come again."""
         if self.pan is None:
             return
         container, has_powder = self.pan.id, self.dosing.is_unweighed or bool(self.bracket and self.bracket.holds)
@@ -186,14 +189,14 @@ class Believed(BelievedPowder):
         self._set(closed=tuple(closed), gone=self._gone_with(lost))
 
     def lifted(self, weighing: Gross) -> None:
-        """What is about to be taken off the pan weighs so much, the hand away. ValueError without a bracket."""
+        """The container was weighed, the hand away, before it is taken off. Raises ValueError without a bracket."""
         self._set(bracket=replace(self._open_bracket, lifted=weighing))
 
     def bracket_closed(self, closed: ClosedBracket | None) -> None:
-        """The bare pan was weighed after a container; None where nothing was dosed into it.
+        """The bare pan was weighed after a container; None if nothing was dosed into it.
 
-        A zero that has just stepped may step back within the next bracket, which then closes by chance. Of a container
-        that has come again the later bracket tells all, and earlier ones only where they did not close.
+        After a step of the zero the next bracket may close by chance, as the zero steps back. If a container has come
+        again, the later bracket tells all, and earlier ones count only where they did not close.
         """
         if closed is None:
             self._set(bracket=None)
@@ -216,7 +219,7 @@ class Believed(BelievedPowder):
         )
 
     def noted(self, closed: ClosedBracket) -> None:
-        """The batch has noted what a container came to."""
+        """The batch has noted a container's result."""
         self._set(closed=tuple(one for one in self.closed if one is not closed))
 
     def slots_refilled(self) -> None:
@@ -224,49 +227,49 @@ class Believed(BelievedPowder):
         self._set(slots_used=0, slots_of_kinds={}, slots={})
 
     def containers_taken(self, slots: int, by_kind: Mapping[str, int]) -> None:
-        """So many slots of the changer, and containers by their kind, were used before."""
+        """So many of the changer's slots, and of each kind's containers, were used before."""
         self._set(slots_used=count(slots), containers_used={kind: count(used) for kind, used in by_kind.items()})
 
     def slots_taken(self, by_kind: Mapping[str, int]) -> None:
-        """So many slots of a changer in which kinds have their own were used before."""
+        """So many slots were used before, by kind, in a changer in which kinds have slots of their own."""
         used = {kind: count(taken) for kind, taken in by_kind.items()}
         self._set(slots_used=sum(used.values()), slots_of_kinds=used)
 
     # --- weighing and dosing
 
     def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None, or_mg: float = 0.0) -> None:
-        """As of any powder, and counted for the dose."""
+        """As for any powder; also counted for the dose."""
         super().scooped(source, mass_mg, layer, or_mg)
         self._set(dosing=replace(self.dosing, scoops=self.dosing.scoops + 1))
 
     def gave_out(self, *, is_short: bool, lacked_mg: float = math.inf) -> None:
-        """As of any powder, and counted for the dose where that lacked next to nothing."""
+        """As for any powder; also counted for the dose if it lacked next to nothing."""
         super().gave_out(is_short=is_short, lacked_mg=lacked_mg)
         self._set(dosing=replace(self.dosing, in_vain=self.dosing.in_vain + 1 if lacked_mg < BARREN_MG else 0))
 
     def dose_began(self, now_s: float) -> None:
-        """A job begins: what is counted for a dose begins anew, and no container comes again."""
+        """A job begins: counts for a dose start at zero, and no container comes again."""
         self._set(dosing=DoseSoFar(began_s=now_s, is_unweighed=self.dosing.is_unweighed), gone=())
 
     def tared(self, weighing: Gross) -> None:
-        """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
+        """The container was weighed before its first powder. Raises ValueError unless one was weighed on the pan."""
         bracket = self._open_bracket.tared(weighing)
-        so_far = DoseSoFar(began_s=weighing.time_s, scoops=self.dosing.scoops)  # a scoop may have been made meanwhile
+        so_far = DoseSoFar(began_s=weighing.time_s, scoops=self.dosing.scoops)  # its scoop may have been made before
         self._set(pan_empty_mg=weighing.gross_mg, pan_gross_mg=weighing.gross_mg, bracket=bracket, dosing=so_far)
 
     def zero_stepped(self, by_mg: float) -> None:
-        """Weighings of one thing differ by so much, which neither chance nor powder explains; 0: by nothing."""
+        """Weighings of one thing differ by more than chance and powder explain; 0 if they do not."""
         if mass(by_mg) > 0.0:
             self._set(is_zero_doubted=True, zero_stepped_mg=max(self.zero_stepped_mg, by_mg))
 
     def drifted(self, rate_mg_per_s: float) -> None:
-        """With the valve shut a full container was seen to weigh ever more, or less, at this rate; 0: it was not."""
+        """A full container's weight was seen to change at this rate with the valve shut; 0 if it did not."""
         self._set(drift_mg_per_s=max(self.drift_mg_per_s, mass(rate_mg_per_s)))
 
     def dosing_towards(self, target_mg: float, lot: str, before: Gross) -> None:
-        """The valve may open from now on, over what weighs so much; what leaves the cone is not weighed yet.
+        """The valve may open now, over a container of this gross; what leaves the cone has yet to be weighed.
 
-        ValueError without a container that was weighed.
+        Raises ValueError without a container that was weighed.
         """
         bracket = self._open_bracket
         self._set(
@@ -276,14 +279,14 @@ class Believed(BelievedPowder):
         )
 
     def dosing_ended(self, arrived_mg: float, gross_mg: float) -> None:
-        """The valve is shut; by the last reading so much has arrived. A stable mean is still to come."""
+        """The valve is shut; the arrived mass is by the last reading, and a stable mean is still to come."""
         self._left_cone(arrived_mg)
         self._weighed(gross_mg)
         in_vain = self.dosing.in_vain if arrived_mg < COMES_MG else 0
         self._set(dosing=replace(self.dosing, target_mg=None, in_vain=in_vain))
 
     def dosed(self, gained: Net, drift: Drift, now: Gross, pulses: int, vibration_s: float) -> None:
-        """The container has gained so much by a dose that took this many pulses, and vibration; it weighs so much."""
+        """A dose of so many pulses, and so much vibration, was weighed."""
         so_far, bracket = self.dosing, self._open_bracket
         self._weighed(now.gross_mg)
         self._set(
@@ -297,13 +300,13 @@ class Believed(BelievedPowder):
         )
 
     def dripped(self, mass_mg: float) -> None:
-        """The container has gained so much since its last dose, which puts its doses in doubt."""
+        """The container has gained since its last dose, which puts its doses in doubt."""
         self._set(bracket=self._open_bracket.dripped(mass(mass_mg)))
 
     def reweighed(self, gained: Net, now: Gross) -> None:
-        """The container was weighed after a dose broke off: what it has gained since is of its lot, and has left the
-        cone, if that still has this lot in it.
+        """The container was weighed after a dose broke off.
 
+        What it has gained is of that dose's lot, and has left the cone if that still has this lot in it. Raises
         ValueError without an earlier gross.
         """
         if self.pan_gross_mg is None:
@@ -316,7 +319,7 @@ class Believed(BelievedPowder):
         self._set(dosing=replace(self.dosing, is_unweighed=False))
 
     def zero_moved(self, drift_mg: float, now: Gross) -> None:
-        """The container's gross is this now, and so much of the difference comes from the balance's zero."""
+        """The container was weighed, and so much of the difference comes from the balance's zero."""
         self._weighed(now.gross_mg)
         if self.pan_empty_mg is not None:
             self._set(pan_empty_mg=self.pan_empty_mg + drift_mg)
@@ -336,15 +339,15 @@ class Believed(BelievedPowder):
         return self.bracket
 
     def _weighed(self, gross_mg: float) -> None:
-        """A gross belongs to a container that is known: while containers are changed it says nothing."""
+        """Keep a gross, unless containers are being changed: then nobody knows what it is of."""
         if self.weighed_container is not None:
             self._set(pan_gross_mg=gross_mg)
 
 
 def slot_of(believed: Believed, container: Container, first_slot: int | None = None) -> int:
-    """The slot of the changer, from 0, that a container is in: the next one, for one that was not brought yet.
+    """The changer's slot, from 0, of a container; the next free one if it was not brought yet.
 
-    Where kinds have slots of their own, the next one of these; `first_slot` is the first.
+    Where kinds have slots of their own, it is the next of these, from `first_slot` on.
     """
     if (slot := believed.slots.get(container.id)) is not None:
         return slot
@@ -352,5 +355,5 @@ def slot_of(believed: Believed, container: Container, first_slot: int | None = N
 
 
 def slots_used(believed: Believed, changer: ChangerSpec) -> Mapping[str, int]:
-    """How many containers the changer has given since it was filled, by kind; as "" where none has slots of its own."""
+    """Containers given since the changer was filled, by kind; as "" where kinds have no slots of their own."""
     return believed.slots_of_kinds if changer.kinds else {"": believed.slots_used}

@@ -1,4 +1,4 @@
-"""What is believed to be in the cone and in the sources, from what was measured and commanded; never the true mass."""
+"""What the cone and the sources are believed to hold, by what was measured and commanded (docs/scoop-belief.md)."""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from scuhand_bt.specs import Source
 
 Counts: TypeAlias = Annotated[Mapping[str, int], READ_ONLY, AS_WRITTEN]
 Masses: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
-"""Masses [mg], or shares of such, by name; read-only, as the rest of what is believed."""
+"""Masses [mg], or shares of masses, by name; read-only."""
 Layers: TypeAlias = Annotated[Mapping[str, Layer], READ_ONLY, AS_WRITTEN]
 
 
@@ -22,35 +22,34 @@ class InVessel:
     """What a vessel for leftovers holds."""
 
     lot: str | None = None
-    """The powder lot (`Source.sheet_key`) that was let into it; None where it is empty."""
+    """The powder lot (`Source.sheet_key`) in it; None if it is empty."""
     mass_mg: float = 0.0
-    """Rests that nobody could know the mass of are not in it."""
+    """Without rests, whose mass is unknown."""
 
 
 Vessels: TypeAlias = Annotated[Mapping[str, InVessel], READ_ONLY, AS_WRITTEN]
 
 BARREN_LOADS, BARREN_SHARE, MOST_BARREN_LOADS = 2, 0.6, 6
-"""So many barren loads in a row that should have brought this share of what a source is believed to hold, or the last
-number whatever they should have brought, and it is not scooped from any more: it is empty, or nothing gets out of the
-cone. Until then each stroke goes deeper: less may be in it than was said, and lie below them."""
+"""A source is given up after BARREN_LOADS loads in a row that brought nothing, and should have brought BARREN_SHARE of
+what is believed to be there; or after MOST_BARREN_LOADS. Until then each stroke goes deeper, as there may be less."""
 LEAST_SHARE = 0.2
-"""Of a source whose scoops should bring a smaller share a load that is larger than thought has found no heap: they go
-deeper than the ones before, which lay above most of the powder."""
+"""With a smaller share, a load larger than expected has found a deeper place and no heap, as strokes went above most of
+the powder before."""
 FAR_LESS = 0.75
-"""Of the share that a source's scoops brought before: chance makes no less of it, but powder that is not where the next
-stroke was to find it does. 0.6 to 0.9 were tried, with titanium dioxide at half its yield."""
+"""A share below this part of the one before is not chance: powder was not where the stroke should have found it. 0.6 to
+0.9 were tried, with titanium dioxide at half its yield."""
 
 
 @dataclass(frozen=True)
 class Barren:
-    """The last loads of a source, in a row, that have brought nothing."""
+    """A source's last loads in a row that have brought nothing."""
 
     loads: int = 0
     mass_mg: float = 0.0
-    """What they should have brought."""
+    """What they should have brought, in all."""
 
     def and_one_of(self, mass_mg: float) -> "Barren":
-        """With one more that should have brought so much."""
+        """With one more that should have brought `mass_mg`."""
         return Barren(self.loads + 1, self.mass_mg + mass_mg)
 
 
@@ -63,71 +62,69 @@ class BelievedPowder:
 
     cone_mg: float = 0.0
     cone_source: str | None = None
-    """The source that the powder in the cone came from; it stays known until the cone is emptied, whatever is left."""
+    """The source of the powder in the cone; known until the cone is emptied, whatever is left."""
     has_rest: bool = False
-    """Nothing comes of the cone any more, and it was not emptied since: what is left in it falls out where it tips."""
+    """Whether nothing more comes out of a cone that was not emptied since; what is left falls out as it tilts."""
     load: Load = field(default_factory=Load)
     is_load_doubted: bool = False
-    """The load gave far less than it was believed to hold: it is let out before the next scoop."""
+    """Whether the load gave far less than was believed; it is let out before the next scoop."""
     yields: Masses = field(default_factory=lambda: MappingProxyType({}))
-    """By source, the share of what its scoops should bring that the last load was seen to; 1 until one was seen."""
+    """By source, the share that the last load's scoops brought of what was expected; 1 until one was seen."""
     rests: Masses = field(default_factory=lambda: MappingProxyType({}))
-    """By source, the last share of a load that comes only shaken, as far as it was seen."""
+    """By source, the share of a load that comes only shaken, as far as it was seen."""
     barren: Barrens = field(default_factory=lambda: MappingProxyType({}))
-    """By source, of those whose last load has brought nothing."""
+    """By source, the loads that brought nothing, up to the last one."""
     sheet: str | None = None
     """The powder lot (`Source.sheet_key`) that this sheet has touched; None for a fresh one."""
     sheets_used: int = 1
     sources_mg: Masses = field(default_factory=lambda: MappingProxyType({}))
     layers: Layers = field(default_factory=lambda: MappingProxyType({}))
-    """By source, what the last stroke has left on the mortar's wall; none for a bed that nothing was scooped from."""
+    """By source, what the last stroke left in the mortar; none for a bed never scooped from."""
     vessels: Vessels = field(default_factory=lambda: MappingProxyType({}))
-    """By station, what the vessels for leftovers hold, as far as that is known; the waste bin is none of them."""
+    """By station, what the vessels for leftovers hold, as far as known; without the waste bin."""
 
     @property
     def seen_yields(self) -> Masses:
-        """Of `yields`, those of sources of which a load's end was seen, or was in an earlier run."""
+        """The `yields` of sources of which a load's end was seen, now or in an earlier run."""
         unseen = self.cone_source if self.load.is_larger else None
         return {name: share for name, share in self.yields.items() if name != unseen}
 
     @property
     def barren_sources(self) -> frozenset[str]:
-        """Those whose scoops have brought nothing so often that no more are made."""
+        """Sources given up as their scoops bring nothing."""
         return frozenset(name for name, barren in self.barren.items() if self._is_given_up(name, barren))
 
     @property
     def is_probing(self) -> bool:
-        """Whether the cone's load comes after one that has brought nothing, and another follows if this does not."""
+        """Whether the load before this one brought nothing, and the source is not given up if this does not either."""
         barren = self.barren.get(name := self.cone_source or "")
         return barren is not None and not self._is_given_up(name, barren.and_one_of(self.load.scooped_mg))
 
     @property
     def missed_mg(self) -> Masses:
-        """By source, what its last stroke should have brought and is taken not to have found: it lies there still."""
+        """By source, what its last stroke should have brought and did not find: it is believed to lie there still."""
         return {name: layer.missed_mg for name, layer in self.layers.items()}
 
     # --- the cone and the sources
 
     def source_holds(self, name: str, mass_mg: float) -> None:
-        """So much is in a source: what a recipe, the inventory or an operator says."""
+        """A recipe, the inventory or an operator says how much is in a source."""
         self._set(sources_mg={**self.sources_mg, name: mass(mass_mg)})
 
     def scoops_bring(self, name: str, share: float) -> None:
-        """What scoops of a source were seen to bring of what was expected, in earlier runs; what this one has seen
-        counts more.
-        """
+        """An earlier run has seen the share that a source's scoops bring; what this run has seen takes precedence."""
         self._set(yields={name: mass(share), **self.yields})
 
     def scoops_forgotten(self, name: str) -> None:
-        """What scoops of a source bring is not known any more: somebody has said so."""
+        """Somebody has said that the share of a source's scoops is no longer known."""
         self._set(yields={other: share for other, share in self.yields.items() if other != name})
 
     def cone_holds(self, source: Source, mass_mg: float) -> None:
-        """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
+        """So much of a source is in the cone, known otherwise than by a scoop; the source is left as it is."""
         self._set(cone_mg=mass(mass_mg), cone_source=source.name, sheet=source.sheet_key, load=Load())
 
     def touched(self, source: Source) -> None:
-        """The sheet has gone into the powder of a source. ValueError while the cone holds another lot."""
+        """The sheet has gone into a source's powder. Raises ValueError while the cone holds another lot."""
         if self.sheet == source.sheet_key:
             return
         if self.cone_mg > 0.0:
@@ -136,12 +133,10 @@ class BelievedPowder:
         self._set(sheet=source.sheet_key)
 
     def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None, or_mg: float = 0.0) -> None:
-        """A scoop should have brought so much of a source into the cone; it has brought what this source yields of
-        it, and no more than is there.
+        """A scoop should have brought `mass_mg`; the source's share of it is in the cone, if there is so much.
 
-        Or `or_mg`, if what the stroke before had missed was on its way.
-        It should have left this layer; None: nobody knows how it lies.
-        ValueError while the cone holds another source's powder.
+        `or_mg` is what it brought if what the stroke before had missed was on its way. `layer` is what it should have
+        left; None if nobody knows how that lies. Raises ValueError while the cone holds another source's powder.
         """
         if self.cone_mg > 0.0 and self.cone_source != source.name:
             raise ValueError(f"the cone holds powder of '{self.cone_source}', and has scooped from '{source.name}'")
@@ -163,15 +158,15 @@ class BelievedPowder:
         )
 
     def emptied(self) -> None:
-        """Everything has been let out of the cone."""
+        """Everything was let out of the cone."""
         self._set(cone_mg=0.0, cone_source=None, has_rest=False, load=Load(), is_load_doubted=False)
 
     def vessel_holds(self, station: str, lot: str | None, mass_mg: float) -> None:
-        """So much of a lot is in the vessel at a station: what the inventory or an operator says. None: it is empty."""
+        """The inventory or an operator says what a vessel holds; a lot of None means that it is empty."""
         self._set(vessels={**self.vessels, station: InVessel(lot, mass(mass_mg))})
 
     def let_into(self, station: str, source: Source, mass_mg: float) -> None:
-        """So much of a source is let into the vessel at a station. ValueError where another lot is in it."""
+        """Powder of a source was let into a vessel. Raises ValueError if that holds another lot."""
         held = self.vessels.get(station, InVessel())
         if held.lot not in (None, source.sheet_key):
             raise ValueError(f"the vessel at '{station}' holds {held.lot}, and {source.sheet_key} is let into it")
@@ -183,15 +178,15 @@ class BelievedPowder:
             self._set(cone_mg=0.0, is_load_doubted=True)
 
     def returned(self, source: str, mass_mg: float) -> None:
-        """So much has come back into a source."""
+        """Powder has come back into a source."""
         self.source_holds(source, self.sources_mg.get(source, 0.0) + mass(mass_mg))
 
     def gave_out(self, *, is_short: bool, lacked_mg: float = math.inf) -> None:
-        """Nothing comes any more, open and shaken: what that tells of the load, and of what the source's scoops bring.
+        """Nothing comes any more, open and shaken: learn about the load, and about the source's scoops.
 
-        A load that `is_short` gave far less than it was believed to hold: a bridge holds it, or it was a poor scoop.
-        Any other was all of it: what it was thought to hold still never left its source. Where the dose lacked next to
-        nothing (`lacked_mg`) lumps were waited for through a narrow gap: that tells neither a poor scoop nor none.
+        If it `is_short`, it gave far less than was believed: a bridge, or a poor scoop. Otherwise it was all: what it
+        should still hold never left its source. If next to nothing was missing (`lacked_mg`), lumps were waited for
+        through a narrow gap, which tells neither a poor scoop nor none.
         """
         if (name := self.cone_source) is None:
             return
@@ -214,10 +209,10 @@ class BelievedPowder:
             self._set(has_rest=True)
 
     def rest_left(self) -> None:
-        """What is left in the cone comes only shaken: that is for a dose's most, and not for the last of it.
+        """What is left in the cone comes only shaken, and is not used for the last of a dose.
 
-        Where that began long before it should have, the load was a poor one, as its source's next ones will be; and of
-        one that was larger than thought nothing else has told how large.
+        A rest that begins far too early shows a poor load, and the source's next ones will be poor, too. Of a load
+        larger than believed, nothing else has told how large it was.
         """
         if (name := self.cone_source) is not None:
             if (rest := self.load.least_rest(self.rests.get(name))) is not None:
@@ -228,17 +223,17 @@ class BelievedPowder:
         self._set(load=replace(self.load, is_rest=True))
 
     def flowed(self, shaken_mg: float) -> None:
-        """Of the dose that has just ended the last so much came only shaken, and what came before by itself."""
+        """The last `shaken_mg` of the dose that has just ended came only shaken."""
         if self.cone_source is not None:
             self._set(load=replace(self.load, flowed_mg=max(0.0, self.load.came_mg - mass(shaken_mg))))
 
     def source_refilled(self, name: str, mass_mg: float) -> None:
-        """A person has put so much more into a source, which may be scooped from again if it gave nothing."""
+        """A person has put more into a source; if it was given up, it may be scooped from again."""
         self.source_holds(name, self.sources_mg.get(name, 0.0) + mass(mass_mg))
         self._set(barren={other: barren for other, barren in self.barren.items() if other != name})
 
     def sources_mended(self) -> None:
-        """A person has looked after the sources that gave nothing: they may be scooped from again."""
+        """A person has looked after the sources that were given up: they may be scooped from again."""
         given_up = self.barren_sources
         self._set(barren={name: barren for name, barren in self.barren.items() if name not in given_up})
 
@@ -249,14 +244,14 @@ class BelievedPowder:
         self.sheet_is(None, self.sheets_used + 1)
 
     def sheet_is(self, lot: str | None, number: int) -> None:
-        """This sheet, by its number, is in the hand, has touched this powder lot (None: it is fresh), and is empty."""
+        """The sheet with this number is in the hand, empty; it has touched this powder lot (None: fresh)."""
         self._set(sheet=lot, sheets_used=count(number))
         self.emptied()
 
     # --- within
 
     def _left_cone(self, mass_mg: float) -> None:
-        """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""
+        """What has arrived (negative if the balance drifts) has left the cone."""
         if (name := self.cone_source) is None:
             return
         load = replace(self.load, came_mg=self.load.came_mg + mass_mg)
@@ -264,7 +259,7 @@ class BelievedPowder:
             load = self._was_not_there(name, load, self.barren[name].mass_mg)
             self._set(barren={one: barren for one, barren in self.barren.items() if one != name})
         self._set(cone_mg=self.cone_mg - mass_mg, load=load)
-        if self.cone_mg < 0.0:  # it was in the cone, and is not in its source
+        if self.cone_mg < 0.0:  # it was in the cone, and so is not in its source
             self._moved_to_cone(name, -self.cone_mg)
         share = self.yields.get(name, 1.0)
         more_mg = load.came_mg - share * load.scooped_mg
@@ -281,11 +276,11 @@ class BelievedPowder:
             self._moved_to_cone(name, max(0.0, HIDDEN * load.came_mg - self.cone_mg))
 
     def _scoops_brought(self, name: str, load: Load) -> None:
-        """The share of what they should have that a load's scoops brought, which the source's next ones are to bring.
+        """Learn the share that a load's scoops brought, which the source's next ones are expected to bring.
 
-        Of far less than before all that was missing lies beside, and the next one goes deeper. Whether that brings as
-        much as before or as little as now nobody knows: it is to bring the mean of the two. What a lens out of a bowl
-        more than half full lacks of what it should bring is at the sides, too, however little the one before brought.
+        If it is far less than before, what was missing lies beside, and the next stroke goes deeper. Nobody knows which
+        share will repeat, so their geometric mean is expected. What a lens out of a bowl more than half full lacks lies
+        beside, too, however little the one before brought.
         """
         share, before, layer = load.scoops_share, self.yields.get(name, 0.0), self.layers.get(name)
         if before > 0.0 and layer is not None and layer.is_lens:
@@ -307,7 +302,7 @@ class BelievedPowder:
         return is_most_of_it or barren.loads >= MOST_BARREN_LOADS
 
     def _was_not_there(self, name: str, load: Load, missing_mg: float) -> Load:
-        """Below strokes that brought nothing there is powder: what they should have brought never was there."""
+        """Powder came after strokes that brought nothing: what those should have brought was never there."""
         if (layer := self.layers.get(name)) is not None:
             layer = replace(layer, beside_mg=max(0.0, layer.beside_mg - missing_mg))
             self._set(layers={**self.layers, name: layer})
@@ -316,7 +311,7 @@ class BelievedPowder:
         return replace(load, not_there_mg=missing_mg)
 
     def _found_what_was_missed(self, name: str, load: Load) -> Load:
-        """More has come than was expected: what the stroke before had missed lay on the way, and none of it beside."""
+        """More came than expected: what the stroke before had missed lay on the way, and nothing lies beside."""
         if (layer := self.layers.get(name)) is not None:
             beside_mg = max(0.0, layer.beside_mg - (load.or_scooped_mg - load.scooped_mg))
             self._set(layers={**self.layers, name: replace(layer, beside_mg=beside_mg)})
@@ -325,7 +320,7 @@ class BelievedPowder:
         return self.load
 
     def _moved_to_cone(self, name: str, mass_mg: float) -> None:
-        """So much more of a source was in the cone than was believed."""
+        """More of a source was in the cone than was believed."""
         left_mg = max(0.0, self.sources_mg.get(name, 0.0) - mass_mg)
         self._set(cone_mg=max(0.0, self.cone_mg + mass_mg), sources_mg={**self.sources_mg, name: left_mg})
 
@@ -335,14 +330,14 @@ class BelievedPowder:
 
 
 def mass(mass_mg: float) -> float:
-    """A mass [mg]. ValueError for a negative one."""
+    """A mass [mg]; raises ValueError if it is negative."""
     if not mass_mg >= 0.0:
         raise ValueError(f"a mass is not negative, as {mass_mg!r} mg is")
     return mass_mg
 
 
 def count(number: int) -> int:
-    """A count. ValueError for a negative one."""
+    """A count; raises ValueError if it is negative."""
     if number < 0:
         raise ValueError(f"a count is not negative, as {number} is")
     return number

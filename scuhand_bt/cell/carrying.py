@@ -1,4 +1,4 @@
-"""How a load is carried: within which angle the cone may lean, and how one that leans more comes upright again."""
+"""How a load is carried: how far the cone may tilt, and how a cone that leans more comes upright again."""
 
 import math
 from contextlib import suppress
@@ -16,30 +16,27 @@ if TYPE_CHECKING:
     from scuhand_bt.cell.cell import Cell
 
 RIGHTED_MM_PER_S, RIGHTED_STEP_RAD = 100.0, math.radians(20.0)
-"""As it is poured: between two such steps the lip of a cone that is turned about it strays by some millimetres."""
+"""As in pouring: between two such steps the lip, about which the cone turns, strays by some millimetres."""
 LOAD_STEP_MM3 = 2000.0
 LIMIT_STEP_DEG = 0.1
 
 
 def carrying_limit_deg(spec: CellSpec, powder: Powder, load_mg: float, cone_diameter_mm: float) -> float:
-    """The spill angle within which a cone of this rim carries a load of a powder in this cell."""
+    """The spill angle [deg] within which a cone of this rim carries a load of a powder in this cell."""
     cone = Cone(cone_diameter_mm, spec.hand.sheet_radius_mm)
     load_mm3 = min(load_mg / powder.bulk_density_mg_per_mm3, 0.9 * cone.volume_mm3)
-    # In steps of load, so that the same few limits come again and their plans are known already; and one step at least,
-    # as nobody knows how much a rest is.
+    # In steps of load, so that the same few limits recur and their plans are known already. At least one step, as
+    # nobody knows how large a rest is.
     load_mm3 = max(1, math.ceil(load_mm3 / LOAD_STEP_MM3)) * LOAD_STEP_MM3
     limit_deg = spill_limit_deg(
         cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
     )
-    # And the cone's measured size differs by what a servo's counts are worth.
+    # Rounded down, as the cone's measured size varies by a servo's counts.
     return min(math.floor(limit_deg / LIMIT_STEP_DEG) * LIMIT_STEP_DEG, spec.arm.gentle_deg)
 
 
 def spill_limit_of(cell: "Cell") -> float | None:
-    """The spill angle [deg] of what is believed to be in the cone; None for one that was seen to be empty.
-
-    That one may be tilted as the way demands.
-    """
+    """The spill angle [deg] of what is believed to be in the cone; None if that is empty and may tilt freely."""
     believed = cell.believed
     source = cell.sources.get(believed.cone_source or "")
     if source is None and believed.has_rest:
@@ -50,10 +47,10 @@ def spill_limit_of(cell: "Cell") -> float | None:
 
 
 def upright_again(cell: "Cell") -> Trajectory | None:
-    """Upright on the spot, for a cone that leans more than its load is carried with: whatever slides has slid.
+    """Upright on the spot, for a cone that leans more than its load allows: whatever slides has slid.
 
-    About its lip, so that what still falls does where it was poured, or else about its apex. None for a cone that leans
-    less, and where the arm can do neither: then nothing moves.
+    It turns about its lip, so that what still falls does so where it was poured, or else about its apex. None for a
+    cone that leans less, and where the arm can do neither: then nothing moves.
     """
     limit_deg, now = spill_limit_of(cell), cell.apex()
     if limit_deg is None or now.tilt_deg <= limit_deg:

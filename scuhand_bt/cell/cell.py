@@ -44,11 +44,11 @@ from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, BalanceFigure, Container, PowderBelief, Source
 
 PLANNING_S = 0.05
-"""Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
+"""Run time charged for a plan, however fast it was made, so that dry runs do not depend on the machine."""
 RIM_DECIMALS = 6
-"""Of a rim [mm] that is worked out of the roller's angle, so that rounding makes no other rim of it."""
+"""Decimals of a rim [mm] computed from the roller's angle, so that rounding does not make it another rim."""
 RECENT = 4000
-"""Readings that are at hand: some minutes, in which a person puts a container on the pan."""
+"""Readings kept: some minutes, in which a person puts a container on the pan."""
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
@@ -59,7 +59,7 @@ T = TypeVar("T")
 
 @dataclass
 class Cell:
-    """One bench: real, or simulated."""
+    """One bench, real or simulated."""
 
     spec: CellSpec
     clock: Clock
@@ -70,46 +70,46 @@ class Cell:
     changer: Changer
     operator: Operator
     motion: "MotionPlanner"
-    """Told by this object, at every motion, how wide the cone is and what stands on the pan."""
+    """Told by this object, at each motion, the cone's size and what stands on the pan."""
     sources: Mapping[str, Source]
     simulated: bool
     devices: Mapping[str, Device] = field(default_factory=dict)
-    """Further ones, by the names that robot/cell.yaml gives them."""
+    """Further devices, by the names that robot/cell.yaml gives them."""
     places_mm: Mapping[str, Position] = field(default_factory=dict)
     """The named places of this run (`cell/places.py`)."""
     believed: Believed = field(default_factory=Believed)
     begin_sample: Callable[[str, int], None] = lambda sample, attempt: None
-    """Told at the start of each job (sample id, attempt); the simulation draws its randomness by it."""
+    """Called at the start of each job with (sample id, attempt); the simulation draws its randomness by it."""
     sheet_mounted: Callable[[], None] = lambda: None
-    """Called when a fresh sheet has been clamped; the simulation throws the old one away by it."""
+    """Called when a fresh sheet has been clamped; the simulation discards the old one."""
     mortar_refilled: Callable[[str, float], None] = lambda source, mass_mg: None
-    """Called when a person has put so much more [mg] into the mortar of a source; the simulation follows."""
+    """Called when a person has put a mass [mg] into a source's mortar; the simulation follows."""
     weight_on_pan: Callable[[float], None] = lambda mass_mg: None
     """Called when the operator has put a weight [mg] on the pan, or taken it off (0); the simulation follows."""
     of_job: Sequence[Container] = ()
-    """The containers of the job that goes on: the changer is filled before the first one, and not between them."""
+    """The containers of the present job: the changer is filled before the first one, and not between them."""
     controller: str = DEFAULT_CONTROLLER
     """The dosing controller of this run."""
     strokes_made: dict[str, list[float]] = field(default_factory=dict)
-    """By source, their headings [deg], in this process: each stroke is turned from those before it."""
+    """By source, the headings [deg] of strokes made by this process; each stroke is turned from those before it."""
     powder_beliefs: dict[str, PowderBelief] = field(default_factory=dict)
-    """What is learnt of powders, by `Source.sheet_key`; the powder's own `belief` until then."""
+    """What is learnt about powders, by `Source.sheet_key`; the powder's own `belief` until then."""
     balance_belief: BalanceBelief = field(default_factory=BalanceBelief)
-    """What is learnt of the balance."""
+    """What is learnt about the balance."""
     balance_figures: dict[BalanceFigure, float | None] = field(default_factory=dict)
-    """What this run has measured of it; None for what was measured before, and does not hold any more."""
+    """What this run has measured of it; None for an earlier figure that no longer holds."""
     known_delay_s: float | None = None
-    """How late it was last seen to show a load, by this run or an earlier one."""
+    """How late it last showed a load, in this run or an earlier one."""
     came: Step | None = None
     """How the balance has shown the container that came last, in this process."""
     weighed: StableMean | None = None
-    """The pan's last weighing while arm and hand stood still, in this process."""
+    """The last weighing with arm and hand at rest, in this process."""
     readings: deque[Reading] = field(default_factory=lambda: deque(maxlen=RECENT))
-    """The balance's last ones, filled from where they arrive."""
+    """The balance's last readings, filled where they arrive."""
     right_of_way: RightOfWay = field(init=False)
-    """Who has which zone of it, and who needs stillness."""
+    """Who has which zone, and who needs stillness."""
     in_the_way: InTheWay = field(init=False)
-    """What comes into it."""
+    """What comes into the cell unplanned."""
 
     def __post_init__(self) -> None:
         self.right_of_way = RightOfWay(self)
@@ -117,7 +117,7 @@ class Cell:
 
     @property
     def balance_name(self) -> str:
-        """Which balance this is, as far as it tells, and how it is set: what is known of it belongs to that."""
+        """The balance and its settings, to which what is known of it belongs."""
         spec = self.spec.balance
         who = self.balance.identity or f"of {self.spec.cell}"
         return f"{spec.driver} {who}, {spec.readability_mg:g} mg, {1.0 / spec.period_s:.3g} Hz"
@@ -125,18 +125,18 @@ class Cell:
     def device(self, name: str) -> Any:
         """A device by the name that skills lease it under: arm, hand, balance, changer, or that of `devices:`.
 
-        It meets the Protocol of its kind (`devices/instruments.py`); a skill says which:
-        `a: Sensor = cell.device("a")`.
+        It meets the Protocol of its kind (`devices/instruments.py`), which a skill may state: `a: Sensor =
+        cell.device("a")`.
         """
         return getattr(self, name) if name in DEVICES else self.devices[name]
 
     @property
     def every_device(self) -> dict[str, Device]:
-        """All of them, by those names."""
+        """All devices, by those names."""
         return {name: self.device(name) for name in (*DEVICES, *self.devices)}
 
     def apex_mm(self) -> tuple[float, float, float]:
-        """Where the cone's apex is now, in the base frame."""
+        """The position of the cone's apex now, in the base frame."""
         x_m, y_m, z_m = self.apex().position_m
         return (1000 * x_m, 1000 * y_m, 1000 * z_m)
 
@@ -145,18 +145,18 @@ class Cell:
         return apex(self.arm.positions, self.motion.mount(self.hand.cone_diameter_mm))
 
     def aside_of_pan_mm(self) -> float:
-        """How far the cone's apex is from the middle of the pan, seen from above."""
+        """Horizontal distance of the cone's apex from the middle of the pan."""
         return math.dist(self.apex_mm()[:2], self.spec.station_of_kind("balance").position_mm[:2])
 
     def place(self, name: str) -> ApexPose:
-        """The apex pose of a named place, cone upright; KeyError for an unknown one."""
+        """The apex pose of a named place, cone upright; raises KeyError for an unknown one."""
         return ApexPose(np.array(self.places_mm[name]) / 1000)
 
     def move_to(self, place: str | ApexPose) -> Steps[None]:
-        """Move to a named place or a pose; a loaded cone is carried within its spill angle (`motion/spill.py`).
+        """Move to a named place or a pose, with a loaded cone within its spill angle (`motion/spill.py`).
 
-        One that leans more, as where its pouring was halted, is turned upright first. What does not go around the zones
-        that others have waits for these. SkillFailed arm.no_path, arm.unreachable, arm.start_in_collision,
+        A cone that leans more, as after a halted pouring, is turned upright first. If there is no way around zones that
+        others have, wait for these. Raises SkillFailed arm.no_path, arm.unreachable, arm.start_in_collision,
         arm.joint_limit, arm.zone_taken.
         """
         if (turning := upright_again(self)) is not None:
@@ -172,9 +172,9 @@ class Cell:
             return
 
     def lower_to(self, place: str, from_above_mm: float, speed_mm_per_s: float) -> Steps[None]:
-        """Move above a named place, and from there straight down to it; a load is kept in the cone all the way.
+        """Move above a named place, and from there straight down; a load stays in the cone all the way.
 
-        SkillFailed as `move_to`.
+        Raises SkillFailed as `move_to`.
         """
         limit_deg = spill_limit_of(self)
         down = yield from self._planned(
@@ -190,7 +190,7 @@ class Cell:
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str | None) -> Steps[None]:
         """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else.
 
-        What crosses zones that others have waits for these. SkillFailed arm.no_path, arm.unreachable, arm.zone_taken.
+        Waits for zones on the way that others have. Raises SkillFailed arm.no_path, arm.unreachable, arm.zone_taken.
         """
         motion = yield from self._planned(
             lambda _: self.contact(waypoints, speed_mm_per_s, station), only_zones=True, touching=station
@@ -202,22 +202,22 @@ class Cell:
         return self._planner().contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
 
     def planned(self, plan: "Callable[[], T]") -> "Steps[T]":
-        """What a skill plans, which fails where there is no way; where others have zones, once these are free.
+        """The result of a skill's `plan`; if it fails while others have zones, try again once these are free.
 
-        SkillFailed as `plan` does, arm.zone_taken.
+        Raises SkillFailed as `plan` does, and arm.zone_taken.
         """
         return self._planned(lambda _: plan())
 
     def plan_stroke(self, path: StrokePath, source: Source) -> "StoppableTrajectory":
-        """The motion of arm and roller along a stroke in a source's mortar, as near to the mortar's place as it can be.
+        """The motion of arm and roller along a stroke, as near to the mortar's place as possible.
 
-        SkillFailed arm.no_path, arm.unreachable.
+        Raises SkillFailed arm.no_path, arm.unreachable.
         """
         near = self._planner().standing_at(source.station)
         return planned_stroke(self.motion, near, path, self.spec, source.station, source.mortar)
 
     def soon_gets_out(self, motion: "StoppableTrajectory", source: Source) -> bool:
-        """Whether a way out of the mortar, with the heaviest load, is soon found from where a planned stroke ends."""
+        """Whether a way out of the mortar with the heaviest load is quickly found from a planned stroke's end."""
         rim_mm = Cone.from_roller(math.degrees(float(motion.end[-1])), self.spec.hand).diameter_mm
         try:
             planned_out(self._planner(rim_mm), motion, self.spec, source, rim_mm, is_brief=True)
@@ -226,13 +226,13 @@ class Cell:
         return True
 
     def make_stroke(self, motion: "StoppableTrajectory", station: str) -> Steps[float]:
-        """To where a stroke at a mortar's station begins, its cone formed, and along it: arm and roller in one motion.
+        """Move to a stroke's beginning with the cone formed, and along the stroke; returns the rim there [mm].
 
-        Gives the rim's diameter [mm] with which the stroke begins. The cone is formed on the way there: from where the
-        arm stands, or, where something is in its way, or powder may be left in the cone, which falls out as that tips,
-        from the mortar's place; and where it is there, too, before that way.
+        The cone is formed on the way, from where the arm stands. If something is in its way, or a cone may hold powder,
+        which would fall out as it tilts, it is formed from the mortar's place on. If that is not possible either, it is
+        formed at the mortar's place.
         """
-        # Not what the stroke was asked for: where the lip comes to the wall later, the rim has closed somewhat by then.
+        # Not the rim asked for: if the lip comes to the wall later, the rim has closed somewhat by then.
         begins_deg = math.degrees(float(motion.start[-1]))
         open_mm = round(Cone.from_roller(begins_deg, self.spec.hand).diameter_mm, RIM_DECIMALS)
         with self.right_of_way.ahead():
@@ -241,7 +241,7 @@ class Cell:
         return open_mm
 
     def _led_to(self, begin: Joints, open_mm: float, station: str) -> Steps[None]:
-        """To where a stroke begins, its cone formed."""
+        """Move to a stroke's beginning, with the cone formed."""
         is_empty = self.believed.cone_source is None and not self.believed.has_rest
         forming = self._forming(begin, open_mm) if is_empty else None
         if forming is None:
@@ -256,7 +256,7 @@ class Cell:
             yield from self._together(forming)
 
     def _forming(self, goal: Joints, rim_mm: float) -> "StoppableTrajectory | None":
-        """From here to a configuration with a cone of this size, empty; None where something is in the way."""
+        """The motion to a configuration that also forms the empty cone; None where something is in the way."""
         rims_mm = (self.hand.cone_diameter_mm, rim_mm)
         try:
             return self._planner().forming(self.arm.positions, goal, rims_mm, self._roller_rad)
@@ -264,7 +264,7 @@ class Cell:
             return None
 
     def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
-        """Arm and roller along a motion of both."""
+        """Follow a motion of arm and roller."""
         yield from self.right_of_way.go()
         yield from self.in_the_way.followed(motion, self._both(motion))
         self.right_of_way.crossed()
@@ -285,19 +285,19 @@ class Cell:
                 self.hand.stop()
 
     def form_upright(self, place: str, diameter_mm: float) -> Steps[None]:
-        """To a named place, and there give the cone another size: the handle turns with it, so that it stays upright.
+        """Move to a named place and change the cone's size there; the handle turns along, so that it stays upright.
 
-        SkillFailed as `move_to`.
+        Raises SkillFailed as `move_to`.
         """
         yield from self.move_to(place)
         yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm, self._roller_rad))
 
     def _roller_rad(self, rim_mm: float) -> float:
-        """The roller's angle at a rim, counted from the flat sheet."""
+        """The roller's angle at a rim, from the flat sheet."""
         return math.radians(Cone(rim_mm, self.spec.hand.sheet_radius_mm).roller_deg(self.spec.hand))
 
     def _planner(self, rim_mm: float | None = None) -> "MotionPlanner":
-        """The planner, told what the hand has formed (or will have), what stands on the pan, and what others move in.
+        """The planner, told the cone's size (or what it will be), what stands on the pan, and the zones of others.
 
         Nobody else needs to tell it.
         """
@@ -311,10 +311,10 @@ class Cell:
     def _planned(
         self, plan: "Callable[[MotionPlanner], T]", *, only_zones: bool = False, touching: str | None = None
     ) -> "Steps[T]":
-        """A motion around the zones that others have, and what is seen; where there is none, once they are free.
+        """A motion around the zones of others and what is seen; if there is none, try again once they are free.
 
-        Where the arm stands in something, it first goes out, but for the mortar at `touching`. With `only_zones`
-        it does so only after it was limp, else that is a failure; and what is seen is not waited for.
+        If the arm stands in something, move out first, except of the mortar at `touching`. With `only_zones` that is a
+        failure, unless the arm was limp; and what is seen is not waited for.
         """
         began_s, is_freed, is_obstructed = self.clock.now_s, False, False
         deadline_s = began_s + ZONE_TIMEOUT_S
@@ -327,7 +327,7 @@ class Cell:
                     may_free = failure.code == Code.ARM_START_IN_COLLISION and not is_freed
                     if only_zones and not (may_free and self.arm.was_limp):
                         raise
-                    if may_free:  # what is seen may be elsewhere, and stay: it is not waited for before
+                    if may_free:  # before waiting for what is seen, which may be elsewhere, and stay
                         try:
                             out, what = self._way_out(touching)
                         except SkillFailed as stuck:
@@ -348,7 +348,7 @@ class Cell:
                 return found
             if self.clock.now_s >= deadline_s:
                 raise self._fails_all_the_same(plan) or taken(closed, ZONE_TIMEOUT_S)
-            # Until something is otherwise there is none; to plan may take as long as readings are apart.
+            # Nothing else can help until something changes; planning may take as long as the time between readings.
             while (
                 self._around == around and all(map(is_, self.in_the_way.seen, seen)) and self.clock.now_s < deadline_s
             ):
@@ -356,11 +356,11 @@ class Cell:
 
     @property
     def _around(self) -> tuple[frozenset[str], Container | None, float]:
-        """What a motion is planned by, besides where the arm stands and what is seen."""
+        """What a motion is planned by, besides the arm's position and what is seen."""
         return self.right_of_way.closed, self.believed.pan, self.hand.cone_diameter_mm
 
     def _fails_all_the_same(self, plan: "Callable[[MotionPlanner], T]") -> SkillFailed | None:
-        """Why there is no such motion, where none is if every zone is free: what has a zone is not to blame then."""
+        """Why there is no such motion even with all zones free; None if there is one. Then the zone is not to blame."""
         with self.right_of_way.as_if_open():
             try:
                 plan(self._planner())
@@ -369,23 +369,23 @@ class Cell:
         return None
 
     def _way_out(self, touching: str | None) -> "tuple[StoppableTrajectory, str]":
-        """Slowly out of what the arm touches, and what that is; SkillFailed arm.start_in_collision.
+        """A slow way out of what the arm touches, and what that is; raises SkillFailed arm.start_in_collision.
 
-        The sheet may touch the mortar at `touching`. Into any other one only an arm that was limp has come unasked.
+        The sheet may touch the mortar at `touching`. Only an arm that was limp can be in another one.
         """
         return self._planner().way_out(
             self.arm.positions, spill_limit_of(self), touching, from_mortars=self.arm.was_limp
         )
 
     def zones_entered(self) -> frozenset[str]:
-        """The zones of the cell that the arm is in."""
+        """The zones that the arm is in."""
         if not self.spec.zones:
             return frozenset()
         return self.motion.entered(self.arm.positions, self.hand.cone_diameter_mm / 1000)
 
     @property
     def may_meet_a_container(self) -> bool:
-        """Whether the arm is where containers are changed: over the pan, or in a zone, whatever that is for."""
+        """Whether the arm is where containers are changed: over the pan, or in any zone."""
         return self.aside_of_pan_mm() < CLEAR_MM or bool(self.zones_entered())
 
     def _follow(self, trajectory: Trajectory) -> Steps[None]:

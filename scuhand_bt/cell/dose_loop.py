@@ -1,8 +1,8 @@
-"""Carrying out a controller's commands on a hand and a balance: the loop that every dose runs.
+"""Carry out a controller's commands on a hand and a balance: the loop that every dose runs.
 
-The controller decides (`scuhand_bt.dosing.controller`), this loop acts and measures. The valve is shut and
-the motor off when it ends, however it ends: a reading that does not come ends it, for `silence_s` where the valve stays
-open until then, else for as long as it takes to be sure that the balance is lost.
+The controller (`scuhand_bt.dosing.controller`) decides, this loop acts and measures. However it ends, the valve is shut
+and the motor off. It ends if no reading comes: after `silence_s` if the valve would stay open until then, else once the
+balance is surely lost.
 """
 
 import math
@@ -35,29 +35,28 @@ from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief
 
 LOST_MG = 50.0
-"""Powder does not leave the pan again: less by so much than there has been means that the container was moved. A lump
-that lands is felt as more than it weighs, for a moment and by less than this."""
+"""Powder does not leave the pan: a loss of this much means that the container was moved. The impact of a lump that
+lands is less."""
 LOST_READINGS = 3
 RINGS, RINGING_S = 0.5, 10.0
-"""A filter that rings shows more than there is, and then less: of what has come in so long by up to this share, which
-it does with a damping of 0.2."""
+"""A ringing filter shows too much, then less: by up to this share of what came in this time (damping 0.2)."""
 
 
 @dataclass(frozen=True, slots=True)
 class CurvePoint:
-    """One moment of a dose, for its plot: what was read, and what the hand was doing."""
+    """One moment of a dose, for its plot."""
 
     time_s: float
     net_mg: float
     opening_mm: float
-    """With a reading; or as it was told to be, of an opening that has ended since the one before."""
+    """As read; or, for an opening that has ended since the last point, as commanded."""
     vibration: float
     stable: bool
     estimate_mg: float
-    """What the controller takes to have left the nozzle."""
+    """The controller's estimate of what has left the nozzle."""
 
     def row(self) -> CurveRow:
-        """As plain numbers, rounded to what they mean: a point of a `DoseCurve`."""
+        """A point of a `DoseCurve`, rounded to its meaningful digits."""
         return (
             round(self.time_s, 3),
             round(self.net_mg, 3),
@@ -70,13 +69,13 @@ class CurvePoint:
 
 @dataclass
 class DoseRun:
-    """What a dose came to."""
+    """The result of a dose."""
 
     finish: Finish
     last: Gross
-    """The last weighing of it: what the finish goes by, where the controller verified it."""
+    """Its last weighing, which the finish rests on if the controller verified it."""
     watched: list[tuple[Gross, Gross]]
-    """Weighings of the same with the valve shut, whenever nobody had looked for long: they tell drifts."""
+    """Pairs of weighings of the same, valve shut, made whenever nobody had looked for long: they show drifts."""
     pulses: int
     vibration_s: float
     duration_s: float
@@ -84,18 +83,18 @@ class DoseRun:
 
 
 BARREN_S = 60.0
-"""Open for so long without a gain: nothing comes, whatever the controller hopes for. A fresh load primes within 10 s,
-and an arch stands for 40 s at the most before it is shaken."""
+"""Open for so long without a gain, nothing comes, whatever the controller hopes for. A fresh load primes within 10 s,
+and an arch stands for 40 s at most before it is shaken."""
 BARREN_READINGS = 60
-"""At least so many readings long, too: each try is over when a few of them have shown nothing."""
+"""And for at least so many readings, as a try is over when a few of them have shown nothing."""
 GAIN_MG, AVERAGED = 1.0, 10
-"""A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
+"""A gain is this much more, by a stable mean or the mean of so many readings: 5 standard deviations while shaken."""
 WATCHES = 3
-"""What chance would hardly make is watched on: to be known better, or until a filter has crept after the powder."""
+"""Most looks at a change that is hardly chance: to know it better, or until a filter has crept after the powder."""
 SHOWN_DIGITS = 0.5
-"""So much of the powder a balance may still have to show when it begins to be watched for a drift."""
+"""What a balance may still have to show, in digits, when it is watched for drift."""
 LONGEST_S = 1800.0
-"""No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
+"""Longest dose, whatever its controller does; the paper's slowest took 15 min."""
 
 
 @dataclass
@@ -112,20 +111,20 @@ class _Flow:
         if (seen.stable or len(self._recent_mg) == AVERAGED) and level_mg > self.gained_mg + GAIN_MG:
             self.gained_mg, self.barren_s = level_mg, 0.0
         if seen.stable:
-            self.gained_mg = min(self.gained_mg, level_mg)  # what a draught has pushed is no gain that stays
+            self.gained_mg = min(self.gained_mg, level_mg)  # a push by a draught is no lasting gain
 
 
 @dataclass
 class _Kept:
-    """What the pan must go on showing."""
+    """What the pan has shown, and must go on showing."""
 
     most_mg: float = -math.inf
     _least_mg: float = -math.inf
     _below: int = 0
-    _lowest: deque[Observation] = field(default_factory=deque)  # of late, each the lowest since the one before it
+    _lowest: deque[Observation] = field(default_factory=deque)  # lately, each the lowest since the one before it
 
     def require_nothing_lost(self, seen: Observation) -> None:
-        """SkillFailed container.moved where it shows less, several readings running or by a stable mean."""
+        """Raise SkillFailed container.moved if several readings in a row, or a stable mean, are too low."""
         self._below = self._below + 1 if seen.net_mg < self._least_mg else 0
         if self._below >= (1 if seen.stable else LOST_READINGS):
             lost = f"the pan shows {self.most_mg - seen.net_mg:.0f} mg less than it has shown in this dose"
@@ -152,11 +151,10 @@ def run_dose(
     *,
     unwatched_s: float = LONGEST_UNWEIGHED_S,
 ) -> Steps[DoseRun]:
-    """Run a controller to its `Finish` of a request; net masses are against `reference`, weighed with the hand there.
+    """Run a controller to its `Finish`; net masses are against `reference`, weighed with the hand in place.
 
-    The pan is watched for its drift after `unwatched_s` without that; never where it is infinite.
-
-    SkillFailed from the balance: device.lost, balance.unstable, balance.overload; container.moved.
+    The pan is watched for drift after `unwatched_s` without a watch; never if that is infinite. Raises SkillFailed
+    device.lost, balance.unstable, balance.overload (from the balance), container.moved.
     """
     begin_s = clock.now_s
     period_s = balance.spec.period_s
@@ -174,7 +172,7 @@ def run_dose(
             record.course(point.row())
 
     def note(opening_mm: float, vibration: float) -> None:
-        """A moment of a pulse; what the hand does in it is known from the command."""
+        """Keep a moment of a pulse; what the hand does then is known from the command."""
         if balance.latest is not None:
             net_mg = balance.latest.value_mg - reference.zero_mg
             keep(CurvePoint(clock.now_s, net_mg, opening_mm, vibration, False, controller.estimate_mg))
@@ -233,7 +231,7 @@ def run_dose(
                 yield from pause(clock, command.wait_s)
                 unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
                 is_watched = clock.now_s - unwatched_since_s > unwatched_s
-                if is_watched:  # a mean may be stable and still creep, or swing back, which would pass for a drift
+                if is_watched:  # a stable mean may still creep, or swing back, which would look like a drift
                     note(0.0, 0.0)
                     since = [(point.time_s, point.net_mg) for point in curve if point.time_s > unwatched_since_s]
                     rests_s = _rests_s(request.balance, since, clock.now_s, balance.spec.readability_mg)
@@ -270,11 +268,10 @@ def run_dose(
 
 
 def _rests_s(balance: BalanceBelief, shown: Curve, now_s: float, readability_mg: float) -> float:
-    """When a balance, by what it has shown until now, has shown all of the powder, the valve being shut [s].
+    """The time at which a balance, valve shut, has shown all of the powder [s].
 
-    What it shows more, or less, than at a time before it shows at the latest as if all of that had come then; and what
-    is in its dead time has yet to be seen. A filter that adapts takes its time over the last: `SETTLED` times the delay
-    of its slow face.
+    A change since an earlier reading is shown at the latest as if all of it had come then; what is in the dead time is
+    still to be seen. A filter that adapts takes `SETTLED` delays of its slow speed.
     """
     delay_s = 2.0 * balance.lag_s
     if balance.adapts:
@@ -285,7 +282,7 @@ def _rests_s(balance: BalanceBelief, shown: Curve, now_s: float, readability_mg:
 
 
 def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:
-    """The next reading; the valve shuts after so long if it has not come by then. And whether it has shut."""
+    """The next reading, and whether the valve was shut before it came, after `hold_s`."""
     end_s, is_over = clock.now_s + hold_s, False
     with closing(waiting):
         while True:
@@ -301,7 +298,7 @@ def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> S
 
 
 def _pulsed(command: Pulse | Weigh, seen: Observation, acted_s: float, mean: StableMean) -> Pulsed:
-    """What was commanded and what was weighed, with the balance's own lines."""
+    """The event of a command and its weighing, with the balance's own lines."""
     commanded: dict[str, float] = {}
     if isinstance(command, Pulse):
         commanded = {"opening_mm": command.opening_mm, "dwell_s": command.dwell_s, "vibration": command.vibration}

@@ -1,8 +1,8 @@
-"""What comes into the cell while a run goes on, as the cell's watchers see it, and what the arm does then.
+"""What comes into the cell during a run, as the cell's watchers see it, and what the arm does then.
 
-Motions are planned around what is seen; kept ones are proven free of it, or planned anew. Where there is no way, or a
-motion that cannot be planned anew would meet it, it is waited for until that is gone. A motion under way that would
-meet it stops, along its path: what went from place to place is then planned anew from there.
+New motions are planned around what is seen. Kept ones are proven free of it, or planned anew. If there is no way, or a
+motion that cannot be planned anew would meet it, the arm waits until it has gone. A motion under way that would meet it
+stops along its path; if it went from place to place, it is then planned anew from there.
 """
 
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from scuhand_bt.cell.cell import Cell
 
 LOOK_S = 0.1
-"""So often it is looked at what watchers see."""
+"""Interval at which the watchers are looked at."""
 TIMEOUT_S = 120.0
-"""How long what is in the way is waited for."""
+"""How long the arm waits for what is in the way."""
 
 
 class StoppedShort(SkillFailed):
-    """A motion was stopped, because something came into its way; the arm is at rest."""
+    """A motion was stopped because something came into its way; the arm is at rest."""
 
     def __init__(self) -> None:
         super().__init__(Code.ARM_NO_PATH, "the arm was stopped: something came into its way")
@@ -46,14 +46,14 @@ class InTheWay:
 
     @property
     def seen(self) -> list[Any]:
-        """What the watchers see now, or why they do not: the same objects for as long as that is the same."""
+        """What the watchers see now, or why they do not; the same objects for as long as that is the same."""
         return [what for one in self._watchers for what in (one.points_m, one.fault)]
 
     @property
     def points_m(self) -> Any:
-        """What is seen now, (n, 3) or None; the same array for as long as it is the same. Their fault where one has it.
+        """What is seen now, (n, 3) or None; the same array for as long as it is the same.
 
-        An arm that cannot see whether something comes does not move.
+        Raises a watcher's fault: an arm that cannot see whether something comes does not move.
         """
         watchers = self._watchers
         for watcher in watchers:
@@ -67,8 +67,8 @@ class InTheWay:
     def followed(self, motion: Trajectory, steps: Steps[None]) -> Steps[None]:
         """Carry out a motion, which `steps` begin and wait for, as long as nothing comes into its way.
 
-        It begins when its way is free. SkillFailed arm.no_path where it is not in time, `StoppedShort` where it had to
-        stop.
+        It begins when its way is free. Raises SkillFailed arm.no_path if that takes too long, `StoppedShort` if it had
+        to stop.
         """
         if not self._cell.spec.watchers:
             yield from steps
@@ -92,17 +92,20 @@ class InTheWay:
         raise StoppedShort
 
     def gone(self, since_s: float, why: SkillFailed) -> Steps[None]:
-        """Wait until another thing is seen, or nothing: SkillFailed where nothing is, or the same for too long."""
+        """Wait until something else is seen, or nothing.
+
+        Raises `why` if nothing is seen now, SkillFailed if it stays too long.
+        """
         if (seen := self.points_m) is None:
             raise why
-        while self.points_m is seen:  # for which all that is asked has the same answer
+        while self.points_m is seen:  # for as long, all plans have the same answer
             if self._cell.clock.now_s >= since_s + TIMEOUT_S:
                 words = f"something has been in the way for {TIMEOUT_S:g} s: {why.detail}"
                 raise SkillFailed(Code.ARM_NO_PATH, words) from None
             yield Wake(self._cell.clock.now_s + LOOK_S)
 
     def waited(self, since_s: float) -> None:
-        """Write down that it was waited for what was in the way."""
+        """Record that the arm waited for what was in the way."""
         self._cell.record.event(WayObstructed(stopped=False, waited_s=round(self._cell.clock.now_s - since_s, 3)))
 
     def _until_free(self, motion: Trajectory) -> Steps[None]:

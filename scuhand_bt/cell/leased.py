@@ -1,7 +1,7 @@
 """The cell as a skill sees it: with the devices that it leased, and no others.
 
-What is known and believed (`cell.believed`, `cell.spec`, the clock, the record) is there for every skill; a device, and
-what moves it, only for the skill that leased it.
+Every skill has what is known and believed (`cell.believed`, `cell.spec`, the clock, the record). A device, and what
+moves it, is there only for the skill that leased it.
 """
 
 from collections.abc import Collection
@@ -23,7 +23,7 @@ def of_arm(name: str) -> bool:
 
 
 class _LeasedCell:
-    """A cell that refuses what is not leased, and is the cell in all else."""
+    """A cell that refuses what is not leased, and otherwise is the cell."""
 
     __slots__ = ("_cell", "_leased")
 
@@ -52,5 +52,5 @@ class _LeasedCell:
 
 
 def leased(cell: Cell, devices: Collection[str]) -> Cell:
-    """The cell with these devices."""
+    """The cell, restricted to these devices."""
     return cast(Cell, _LeasedCell(cell, devices))

@@ -1,4 +1,4 @@
-"""The weighings about one container, as they are made, and what came out when it had gone (`dosing/bracket.py`)."""
+"""The weighings about one container as they are made, and their result when it has gone (`dosing/bracket.py`)."""
 
 import math
 from collections.abc import Mapping
@@ -13,40 +13,39 @@ from scuhand_bt.dosing.bracket import Drift, Gross, Net, standing, total
 AS_WRITTEN = PlainSerializer(dict)
 READ_ONLY = AfterValidator(MappingProxyType)
 Nets: TypeAlias = Annotated[Mapping[str, Net], READ_ONLY, AS_WRITTEN]
-"""Doses by powder lot (`Source.sheet_key`); read-only, as the rest of what is believed."""
+"""Doses by powder lot (`Source.sheet_key`); read-only."""
 Durations: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
 """How long these took to come [s], by powder lot."""
 
 
 @dataclass(frozen=True)
 class Bracket:
-    """The weighings about what is dosed into one container. Every change makes a new one."""
+    """The weighings about what is dosed into one container. Every change makes a new object."""
 
     container: str
     bare: Gross
-    """The pan before the container came."""
+    """a0: the bare pan before the container came."""
     loaded: Gross
-    """With the empty container, the hand away."""
+    """l0: the empty container, the hand away."""
     last: Gross
-    """The last weighing of what stands there, whether with the hand in place or without."""
+    """The last weighing of what stands there, with the hand in place or away."""
     doses: Nets = field(default_factory=lambda: MappingProxyType({}))
     drifted: Nets = field(default_factory=lambda: MappingProxyType({}))
-    """What was taken out of them as the drift's, by powder lot."""
+    """What was subtracted from them for drift, by powder lot."""
     lasted_s: Durations = field(default_factory=lambda: MappingProxyType({}))
-    """How long they took to come, by powder lot: what the zero did meanwhile is in them."""
+    """How long they took to come, by powder lot; what the zero did meanwhile is in them."""
     drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
-    """What was seen about the last dose."""
+    """The drift seen about the last dose."""
     lot: str = ""
-    """What is being dosed."""
+    """The lot that is being dosed."""
     dripped_mg: float = 0.0
-    """What it gained between doses, while the hand was away: powder that dripped, or a force, which the bare pan does
-    not tell apart."""
+    """What it gained between doses, the hand away: dripped powder or a force; the bare pan shows no difference."""
     lifted: Gross | None = None
-    """The filled container, the hand away, before it is taken off the pan."""
+    """l1: the filled container, the hand away, before it is taken off."""
     carried: Nets = field(default_factory=lambda: MappingProxyType({}))
-    """What it held before these weighings began: when it came to the pan again, or all began anew after an outage."""
+    """What it held before these weighings: when it came to the pan again, or when all began anew after an outage."""
     empty: Net | None = None
-    """What it weighed empty, before such an outage; None where `bare`, `loaded` and what is carried tell."""
+    """Its empty mass before such an outage; None if `bare`, `loaded` and `carried` tell it."""
 
     def dosed_mg(self, lot: str) -> Net:
         """What was dosed of a powder lot until now."""
@@ -58,7 +57,7 @@ class Bracket:
         return {lot: self.dosed_mg(lot) for lot in {**self.carried, **self.doses}}
 
     def weighed_empty(self, readability_mg: float) -> Net:
-        """What the container weighs without any powder."""
+        """The mass of the container without any powder."""
         if self.empty is not None:
             return self.empty
         stood, carried = standing(self.bare, self.loaded, readability_mg), total(self.carried.values())
@@ -69,7 +68,7 @@ class Bracket:
         return replace(self, loaded=self.loaded if self.doses else weighing, last=weighing)
 
     def gained(self, gained: Net, drift: Drift, now: Gross) -> "Bracket":
-        """So much more of the lot that is being dosed, and what the container weighs with it."""
+        """A dose of the present lot was weighed."""
         lasted_s = now.time_s - self.last.time_s
         doubt = drift.uncertainty if drift.rate != 0.0 or drift.is_doubted else 0.0
         drifted = Net(drift.rate * lasted_s, doubt * lasted_s)
@@ -83,7 +82,7 @@ class Bracket:
         )
 
     def found(self, gained: Net, now: Gross) -> "Bracket":
-        """So much more by a dose that broke off: nobody has watched the zero meanwhile, and the bare pan is to tell."""
+        """A dose broke off and was weighed; as nobody has watched the zero, N has to tell."""
         return replace(self, doses=self._with(self.doses, gained), last=now)
 
     def _with(self, nets: Nets, more: Net) -> Nets:
@@ -91,21 +90,21 @@ class Bracket:
         return MappingProxyType({**nets, self.lot: total([so_far, more])})
 
     def dripped(self, mass_mg: float) -> "Bracket":
-        """It has gained so much between two doses."""
+        """It has gained between two doses."""
         return replace(self, dripped_mg=self.dripped_mg + mass_mg)
 
     def with_zero_moved(self, drift_mg: float, now: Gross) -> "Bracket":
-        """As if the balance had always had the zero that it has now."""
+        """As if the balance had always had its present zero."""
         return replace(self, bare=_shifted(self.bare, drift_mg), loaded=_shifted(self.loaded, drift_mg), last=now)
 
     def begun_anew(self, bare: Gross, loaded: Gross, empty: Net, carried: Mapping[str, Net]) -> "Bracket":
-        """After an outage: what it was found to hold is carried, and nothing weighed before counts."""
+        """After an outage: what it holds is carried, and no earlier weighing counts."""
         return Bracket(
             self.container, bare, loaded, loaded, lot=self.lot, carried=MappingProxyType(dict(carried)), empty=empty
         )
 
     def carried_of(self, held: Net) -> dict[str, Net]:
-        """What it holds by lot, if it holds so much in all: what nobody knew of is of the lot that was dosed last."""
+        """What it holds by lot, given the total; what nobody knew of is of the lot dosed last."""
         others = total(net for lot, net in self.holds.items() if lot != self.lot)
         u_mg = math.hypot(held.uncertainty_mg, others.uncertainty_mg)
         return {**self.holds, self.lot: Net(held.mass_mg - others.mass_mg, u_mg)}
@@ -113,18 +112,18 @@ class Bracket:
 
 @dataclass(frozen=True)
 class ClosedBracket:
-    """What came out when a container had gone: its doses, and whether they may be believed."""
+    """The result after a container has gone: its doses, and whether to believe them."""
 
     container: str
     doses: Nets
     closes: bool
     difference_mg: float
-    """What the container has gained by the bare pan, less what was dosed; of several visits the largest."""
+    """N less what was dosed; of several visits the largest."""
     detail: str
     lasted_s: Durations = field(default_factory=lambda: MappingProxyType({}))
     """How long the doses took to come, over all visits."""
     is_discarded: bool = False
-    """It was thrown away, and what it holds is no dose of a sample that does not tell of it."""
+    """Whether it was thrown away: what it holds is then no dose of the sample."""
 
 
 def _shifted(weighing: Gross, by_mg: float) -> Gross:

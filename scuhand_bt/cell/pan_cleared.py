@@ -1,4 +1,4 @@
-"""What a container has got, weighed before it goes: a dose that broke off, and by the bare pan all that was dosed."""
+"""Weigh a container before it goes: after a dose that broke off, and to close its bracket (docs/weighing.md)."""
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import ClosedBracket
@@ -24,15 +24,15 @@ from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.specs import Container
 
 SCOOP_DOUBT = 0.15
-"""How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
+"""How far a scoop may be from what it was expected to bring, as a share of the load limit."""
 STOOD_STILL = "the display stood still for longer than its noise allows: what came meanwhile nobody has seen"
 
 
 def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
-    """Least and most that can have come into the container since it was last weighed: nothing goes back.
+    """Least and most that can have come into the container since it was last weighed [mg].
 
-    Nothing comes but from the cone, while a dose is not weighed yet: what that is believed to hold, and what a scoop
-    may bring more. `chance_mg` is how far the weighings may be apart by themselves.
+    Nothing goes back. Nothing comes but from the cone, while a dose is unweighed: what that is believed to hold, and
+    what a scoop may have brought besides. `chance_mg` is how far the weighings may differ by themselves.
     """
     believed = cell.believed
     if not believed.dosing.is_unweighed:
@@ -43,11 +43,11 @@ def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
 
 
 def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
-    """Weigh what a dose has brought that broke off; nothing to do where none did, or that was weighed since.
+    """Weigh what a dose that broke off has brought; does nothing if there is none.
 
-    The container is given up where less has come than can have. `at_most`: the cone is as the dose left it. Then
-    SkillFailed container.changed where more has come, or less, and nothing is given up: a run that is resumed may find
-    by the bare pan that it was the balance.
+    If less has come than can have, the container is given up. `at_most`: the cone is as the dose left it. Then
+    SkillFailed container.changed is raised if more or less has come, and nothing is given up: a resumed run may find by
+    the bare pan that it was the balance.
     """
     believed, bracket = cell.believed, cell.believed.bracket
     if bracket is None or not believed.dosing.is_unweighed:
@@ -69,11 +69,10 @@ def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
 
 
 def take_container_away(cell: Cell, to: Container | None = None) -> Steps[StableMean]:
-    """Clear the pan, for the container that comes next, and weigh it bare: that closes the bracket about what was
-    dosed into the one before.
+    """Clear the pan for the next container, and weigh it bare, which closes the bracket of the one before.
 
-    Whether it closes is for the batch to say of its sample. A person who does it is not reached by the arm: it stands
-    still. SkillFailed arm.in_the_way where it stands over the pan.
+    The batch judges its sample by whether it closes. While a person does it, the arm stands still, out of reach. Raises
+    SkillFailed arm.in_the_way if it stands over the pan.
     """
     if (aside_mm := cell.aside_of_pan_mm()) < CLEAR_MM:
         raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")
@@ -93,7 +92,7 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
         believed.lifted(weighing_of(lifted))
         cell.record.event(ContainerLifted(**dict(lifted.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes
-        # What has dripped, or a force that grows with the container, and did while it was dosed.
+        # Dripped powder, or a force that grows with the container and grew while it was dosed.
         crept_mg = max(0.0, moved_mg(bracket.last, weighing_of(lifted), digit_mg))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket
@@ -153,7 +152,7 @@ def stands_still(cell: Cell) -> bool:
 
 
 def _handed_over(cell: Cell, hands: Hands, to: Container, bare_mg: float, was_mg: float | None) -> Steps[StableMean]:
-    """The pan as a person has cleared it for the next container; again where that stood there before it was weighed."""
+    """The pan as a person has cleared it for the next container; again if that was put there before it was weighed."""
 
     def is_bare() -> bool:
         reading = cell.balance.latest

@@ -1,6 +1,6 @@
 """Where the cone's apex stands for each thing the cell does, in millimetres of the base frame.
 
-One place for these heights, so that `check`, the planner and the skills mean the same point.
+All heights are here, so that `check`, the planner and the skills mean the same point.
 """
 
 import math
@@ -29,7 +29,7 @@ def dispensing_height_mm(container: ContainerKind) -> float:
 
 
 def fall_s(container: ContainerKind) -> float:
-    """How long powder falls into it, onto its floor."""
+    """How long powder falls, onto the container's floor [s]."""
     return math.sqrt(2.0 * dispensing_height_mm(container) / GRAVITY_MM_PER_S2)
 
 

@@ -1,13 +1,13 @@
-"""What moves in a cell beside something else: who has which zone of it, and who needs all of it to stand still.
+"""Who may move in a cell: who has which zone of it, and who needs all of it to stand still.
 
-A *zone* (`robot/cell.yaml`) is a space that two must not move in at once, as what the container changer sweeps. A skill
-leases it as it leases a device. While another skill has it than the one that has the arm, it is *closed*: the arm's
-motions are planned around it. A motion that was planned while a zone was open may cross it, and until that motion is
-over, and the arm out of the zone, nobody else gets the zone.
+A *zone* (`robot/cell.yaml`) is a space that two must not move in at once, such as what the container changer sweeps. A
+skill leases it like a device. While another skill than the arm's has it, it is *closed*: motions of the arm are planned
+around it. A motion planned while a zone was open may cross it. Until that motion is over, and the arm out of the zone,
+nobody else gets the zone.
 
-A weighing needs stillness: an arm or a changer that swings beside a balance, and a motor that shakes the bench, are in
-what it shows. So does a person who reaches into the cell. Motions that are under way come to their end then, and no
-other begins. While the pan only comes to rest from what came or went they go on: none of that is weighed.
+A weighing needs stillness, as the balance shows a swinging arm or changer, a shaking motor, or a person reaching in.
+Motions under way come to their end, and no other begins. While the pan is only coming to rest they go on, as none of
+that is weighed.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,55 +23,55 @@ if TYPE_CHECKING:
     from scuhand_bt.cell.cell import Cell
 
 ZONE_TIMEOUT_S = 120.0
-"""How long a zone that is taken is waited for: containers are changed and weighed in a fifth of that."""
+"""How long a taken zone is waited for; a change of containers with its weighings takes a fifth of that."""
 STILL_TIMEOUT_S = 120.0
-"""How long a weighing waits for arm, hand and changer to stand still: no motion of theirs takes a tenth of that."""
+"""How long a weighing waits for stillness; no motion takes a tenth of that."""
 SETTLES_S = 8.0
-"""So long a pan may come to rest while the arm goes on: a balance that the arm keeps from it is not waited for."""
+"""How long a pan may come to rest while the arm goes on; a balance that the arm disturbs is not waited for."""
 REACHES_IN = "An exchange by hand was broken off, and the arm is about to move. Is nobody reaching into the cell?"
 MOVING = ("arm", "hand", "changer")
-"""What a weighing needs to stand still."""
+"""What has to stand still for a weighing."""
 LOOK_S = 0.1
-"""So often it is looked whether what moves has come to rest."""
+"""Interval at which what moves is looked at."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class _Leaving:
-    """Has a zone until these devices, which have been given back, stand still."""
+    """Has a zone until these devices, already given back, stand still."""
 
     devices: Sequence[str]
 
 
 class RightOfWay:
-    """Who has what of one cell."""
+    """Who has what in one cell."""
 
     def __init__(self, cell: "Cell") -> None:
         self.news = Signal()
         """Fires when a zone, or all motion, is free again."""
         self.commands: dict[str, object] = {}
-        """Who has leased which device."""
+        """By device, who has leased it."""
         self._has_zone: dict[str, object] = {}
         self._cell = cell
         self._crossed: frozenset[str] = frozenset()
         self._hushes = self._watches = self._ahead = 0
         self._is_as_if_open = False
         self._may_reach_in = False
-        """Nobody has said that the person has left who was asked to do something in the cell."""
+        """Whether a person who was asked to do something in the cell may still be reaching in."""
 
     # --- zones
 
     @property
     def closed(self) -> frozenset[str]:
-        """The zones that the arm must keep out of: another has them than who has the arm."""
+        """The zones that the arm must keep out of: someone other than the arm's owner has them."""
         if self._is_as_if_open:
             return frozenset()
         arm = self.commands.get("arm")
         return frozenset(zone for zone in self._cell.spec.zone_names if self.holder(zone) not in (None, arm))
 
     def holder(self, zone: str) -> object | None:
-        """Who has a zone; what has left it still has it until its devices stand still."""
+        """Who has a zone; an owner that has ended has it until its devices stand still."""
         holder = self._has_zone.get(zone)
         if isinstance(holder, _Leaving) and all(self._cell.device(name).is_stopped for name in holder.devices):
             del self._has_zone[zone]
@@ -79,40 +79,40 @@ class RightOfWay:
         return holder
 
     def enter(self, zones: Iterable[str], owner: object) -> None:
-        """The owner has leased these zones."""
+        """An owner has leased these zones."""
         self._has_zone.update(dict.fromkeys(zones, owner))
 
     def leave(self, owner: object, devices: Sequence[str]) -> None:
-        """The owner has ended, which had leased these devices."""
+        """An owner, which had leased these devices, has ended."""
         for zone in [zone for zone, holder in self._has_zone.items() if holder is owner]:
             self._has_zone[zone] = _Leaving(devices)
         self.news.fire()
 
     def is_crossed(self, name: str, owner: object) -> bool:
-        """Whether the arm is in this zone, or on a way through it, for another than the owner."""
+        """Whether the arm is in this zone, or on a way through it, for someone other than the owner."""
         arm = self.commands.get("arm")
         is_busy = arm not in (None, owner) or not self._cell.arm.is_stopped
         return name in self._crossed and is_busy
 
     def is_stood_in(self, name: str) -> bool:
-        """Whether the arm stands in this zone, and nobody is there to move it."""
+        """Whether the arm stands in this zone, with nobody to move it."""
         return "arm" not in self.commands and self._cell.arm.is_stopped and name in self._cell.zones_entered()
 
     def crossing(self) -> frozenset[str]:
-        """A motion of the arm is planned from now on: it may go through all zones that are open; gives the others."""
+        """Note that a motion is planned from now on, which may cross all open zones; returns the closed ones."""
         closed = self.closed
         self._crossed = frozenset(self._cell.spec.zone_names) - closed
         return closed
 
     def crossed(self) -> None:
-        """The arm has come to rest: it is only where it stands, but for what is planned ahead."""
+        """Note that the arm has come to rest: it is only where it stands, except for what is planned ahead."""
         if not self._ahead:
             self._crossed = self._cell.zones_entered()
             self.news.fire()
 
     @contextmanager
     def ahead(self) -> Iterator[None]:
-        """Meanwhile a motion that was planned before others may go through the zones that were open then."""
+        """Within this, motions planned before others may cross the zones that were open then."""
         self._ahead += 1
         try:
             yield
@@ -122,7 +122,7 @@ class RightOfWay:
 
     @contextmanager
     def as_if_open(self) -> Iterator[None]:
-        """Meanwhile all is planned as if nobody had a zone; nothing may move by it."""
+        """Within this, plans are made as if nobody had a zone; nothing may move by them."""
         crossed, self._is_as_if_open = self._crossed, True
         try:
             yield
@@ -133,7 +133,7 @@ class RightOfWay:
 
     @contextmanager
     def _hushed(self) -> Iterator[None]:
-        """Meanwhile no motion begins."""
+        """Within this, no motion begins."""
         self._hushes += 1
         try:
             yield
@@ -142,7 +142,7 @@ class RightOfWay:
             self.news.fire()
 
     def unshaken(self, steps: Steps[T]) -> Steps[T]:
-        """Carry out steps while the motor does not begin to shake: how the pan comes to rest tells steps of its zero.
+        """Carry out steps while no shaking begins, as the way the pan comes to rest shows steps of its zero.
 
         The arm may move.
         """
@@ -155,9 +155,9 @@ class RightOfWay:
         return result
 
     def go(self, *, shaking: bool = False) -> Steps[None]:
-        """Wait until a motion may begin, or one with which the motor shakes.
+        """Wait until a motion may begin; with `shaking`, one with which the motor shakes.
 
-        SkillFailed operator.refused, operator.absent where a person may still be reaching into the cell.
+        Raises SkillFailed operator.refused, operator.absent where a person may still be reaching in.
         """
         while self._hushes or (shaking and self._watches):
             yield Wake.on(self.news)
@@ -170,9 +170,9 @@ class RightOfWay:
         self._may_reach_in = False
 
     def undisturbed(self, steps: Steps[T]) -> Steps[T]:
-        """Carry out what a person does in the cell while arm and hand stand still.
+        """Carry out what a person does in the cell, with arm and hand at rest.
 
-        Where it is halted the person may be at it still: nothing moves then before somebody has said otherwise.
+        If it is halted, the person may still be at it: nothing moves before somebody has said otherwise.
         """
         with self._hushed():
             yield from self._stillness(MOVING)
@@ -185,10 +185,10 @@ class RightOfWay:
         return result
 
     def stable_mean(self, timeout_s: float = 0.0) -> Steps[StableMean]:
-        """The balance's stable mean while all else stands still; what is disturbed all the same begins again.
+        """The balance's stable mean with all else at rest; begins again if it is disturbed.
 
-        They need not until the balance calls a reading stable. SkillFailed balance.unstable where they do not come to
-        rest; and as the balance's own, after `timeout_s` at least.
+        Motions may go on until the balance calls a reading stable. Raises SkillFailed balance.unstable if they do not
+        come to rest, and as the balance does, after `timeout_s` at least.
         """
         timeout_s = max(timeout_s, self._cell.spec.balance.settles_s)
         yield from self._settled()
@@ -198,14 +198,14 @@ class RightOfWay:
         return mean
 
     def beside_arm(self, begun: Callable[[], Steps[T]]) -> Steps[T]:
-        """Carry out what reads the balance while hand and changer stand still; what is disturbed by them begins again.
+        """Carry out what reads the balance with hand and changer at rest; begins again if they disturb it.
 
-        The arm may move. SkillFailed balance.unstable where they do not come to rest.
+        The arm may move. Raises SkillFailed balance.unstable if they do not come to rest.
         """
         return (yield from self.unshaken(self._anew(begun, [name for name in MOVING if name != "arm"])))
 
     def _anew(self, begun: Callable[[], Steps[T]], still: Sequence[str]) -> Steps[T]:
-        """Carry out steps while these devices stand still; begin them again where one moves all the same."""
+        """Carry out steps while these devices stand still; begin again if one moves all the same."""
         while True:
             yield from self._stillness(still)
             steps = begun()
@@ -221,7 +221,7 @@ class RightOfWay:
                 steps.close()
 
     def _settled(self) -> Steps[None]:
-        """Wait until the pan has come to rest, where somebody has the arm: it goes on meanwhile."""
+        """Wait until the pan has come to rest, if somebody has the arm, which goes on meanwhile."""
         clock, balance = self._cell.clock, self._cell.balance
         deadline_s = clock.now_s + SETTLES_S
         while "arm" in self.commands and clock.now_s < deadline_s:
@@ -233,7 +233,7 @@ class RightOfWay:
         return [name for name in devices if not self._cell.device(name).is_stopped]
 
     def _stillness(self, devices: Sequence[str]) -> Steps[None]:
-        """Wait until none of them moves any more."""
+        """Wait until none of these devices moves."""
         clock = self._cell.clock
         deadline_s = clock.now_s + STILL_TIMEOUT_S
         while moving := self._moving(devices):
@@ -244,5 +244,5 @@ class RightOfWay:
 
 
 def taken(zones: Iterable[str], timeout_s: float) -> SkillFailed:
-    """The failure of what has waited for a zone in vain."""
+    """The failure after waiting for zones in vain."""
     return SkillFailed(Code.ARM_ZONE_TAKEN, f"{', '.join(sorted(zones))} not free after {timeout_s:g} s")

@@ -1,4 +1,4 @@
-"""A stroke of the cone, put where a mortar stands, and its load's way out: what is asked of arm and roller."""
+"""The motion of arm and roller along a stroke at a mortar's place, and the way out with its load."""
 
 from typing import TYPE_CHECKING
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 def planned_stroke(
     planner: "MotionPlanner", near: Joints, path: StrokePath, cell: CellSpec, station: str, mortar: Mortar
 ) -> "StoppableTrajectory":
-    """The motion of arm and roller along a stroke in the mortar at a station, begun as near to `near` as it can be.
+    """The motion of arm and roller along a stroke in the mortar at a station, begun as near to `near` as possible.
 
-    SkillFailed arm.no_path, arm.unreachable.
+    Raises SkillFailed arm.no_path, arm.unreachable.
     """
-    from scuhand_bt.motion.stroke import StrokePoses  # and with it what planning needs
+    from scuhand_bt.motion.stroke import StrokePoses  # deferred: loads what planning needs
 
     x_mm, y_mm, z_mm = cell.stations[station].position_mm
     bottom_mm = np.array([x_mm, y_mm, z_mm + mortar.height_mm - mortar.depth_mm])
@@ -46,11 +46,11 @@ def planned_out(
     *,
     is_brief: bool,
 ) -> "StoppableTrajectory":
-    """From where a stroke ends, with such a rim, out of the mortar with the heaviest load of its source.
+    """The way out of the mortar from a stroke's end, with such a rim and the heaviest load of its source.
 
-    `is_brief`: the way is not searched for at length. SkillFailed arm.* where there is none.
+    `is_brief`: do not search for long. Raises SkillFailed arm.* where there is no way.
     """
-    from scuhand_bt.motion.transfer import BRIEF, LIVE  # as above
+    from scuhand_bt.motion.transfer import BRIEF, LIVE  # deferred, as above
 
     limit_deg = carrying_limit_deg(cell, source.powder, source.powder.load_limit_mg, rim_mm)
     effort = BRIEF if is_brief else LIVE

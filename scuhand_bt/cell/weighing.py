@@ -1,4 +1,4 @@
-"""Gross on the cell's balance so that a mass can be told: again until it stays, and by the bare pan afterwards."""
+"""Weighings on the cell's balance that a mass can rest on (docs/weighing.md)."""
 
 import math
 import statistics
@@ -34,34 +34,34 @@ from scuhand_bt.events.weighings import (
 from scuhand_bt.failures import Code, SkillFailed
 
 PATIENCE_S = 60.0
-"""So long two weighings in a row may go on differing."""
+"""How long two weighings in a row may go on differing."""
 PAUSE_S = 1.5
-"""Between two weighings that are to agree."""
+"""Time between two weighings that should agree."""
 LOOK_S = 4.0
-"""A drift by weighings sooner after each other may be chance, over all of the dose: it is looked at anew."""
+"""Two weighings closer than this may show a drift by chance, and the whole dose would multiply it: look again."""
 WATCHED = 5
 """So many stable readings in a row tell what the pan shows."""
 CREEP_DIGITS = 5.0
-"""So far a filter of a second may still creep when the changer begins to change the load again."""
+"""A filter of a second may still creep this far when the changer begins the next change."""
 
 RESTS_S = 60.0
-"""A container of 25 g comes to rest, to 0.1 mg, within this: on two poles of 3 s after 47 s."""
+"""Within this time a container of 25 g comes to rest, to 0.1 mg; on two poles of 3 s it takes 47 s."""
 CHANGED_MG = 50.0
-"""Every container weighs more, and no draught pushes so hard."""
+"""Every container weighs more than this, and no draught pushes so hard."""
 SLOWER = 1.25
-"""Times a known delay: a balance that shows a step later is not set as it was."""
+"""A balance that is later than known by this factor is not set as it was."""
 DROP_S = 30.0
-"""Powder that drips from a valve that was shut does so once in this time."""
+"""Interval at which powder may drip from a shut valve."""
 RISE_READINGS, RISES = 5, 1.5
-"""A drop shows from a fifth to four fifths within so many readings, and so much of the delay: poles take 1.4 of it."""
+"""A drop shows from a fifth to four fifths within so many readings, and so many delays; poles take 1.4 of them."""
 QUICK_S, QUICK_READINGS, CREEPS = 8.0, 18, 0.15
-"""A balance that has called itself stable so soon, or in so few readings, does not creep; a slower one does, for that
-share of the time."""
+"""A balance that calls itself stable within QUICK_S or QUICK_READINGS does not creep. A slower one does, and is weighed
+again after CREEPS of the time it took."""
 PROMPT_S, LOOKS = 0.8, 3
-"""A balance no later than this has shown what fell as the hand left by when the arm has come to rest, or calls no
-reading stable; a later one is weighed up to so many times more."""
+"""A balance no later than PROMPT_S has shown what fell as the hand left when the arm is at rest, or calls no reading
+stable. A later one is weighed up to LOOKS times more."""
 HAND_S = 1.0
-"""What a person takes to put a container down, besides."""
+"""Additional uncertainty of the time at which a person puts a container down."""
 
 
 def weighing_of(mean: StableMean) -> Gross:
@@ -72,11 +72,11 @@ def weighing_of(mean: StableMean) -> Gross:
 def weigh_until_still(
     cell: Cell, last: Gross, allowed_mg: float, pause_s: float = 0.0, *, may_gain: bool = False
 ) -> Steps[tuple[Gross, StableMean]]:
-    """The first two weighings in a row that differ by no more than allowed or by chance, from `last` on.
+    """The first two weighings in a row, from `last` on, that differ by no more than `allowed_mg` or by chance.
 
-    The next one comes after `pause_s`. A step of the zero is passed by it and remembered, and what creeps or drifts is
-    not passed: SkillFailed balance.drifting after `PATIENCE_S`. What `may_gain` has powder still on its way, or
-    dripping: only what it loses is the zero's.
+    The next weighing comes after `pause_s`. A step of the zero is passed over, and remembered. With `may_gain` powder
+    may still be on its way, so that only a loss is the zero's. Raises SkillFailed balance.drifting if the reading
+    changes for longer than `PATIENCE_S`.
     """
     begin_s, digit_mg = cell.clock.now_s, cell.spec.balance.readability_mg
     while True:
@@ -98,10 +98,10 @@ def weigh_until_still(
 
 
 def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
-    """Remember by how much two weighings of a full container differ, the valve shut; what it has gained [mg].
+    """Note how two weighings of a full container differ, valve shut; returns what it has gained [mg].
 
-    What it loses is the zero's: a step, or a drift that any dose may have had. What it gains may be so, too, or a drop
-    that fell at once: no faster than over `DROP_S`.
+    A loss is the zero's: a step, or a drift that any dose may have had. A gain may be either, or a drop that fell at
+    once, and counts as spread over at least `DROP_S`.
     """
     moved, lasted_s = moved_mg(before, now, cell.spec.balance.readability_mg), now.time_s - before.time_s
     cell.believed.zero_stepped(max(0.0, -moved))
@@ -110,11 +110,10 @@ def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
 
 
 def look_after_gain(cell: Cell, before: Gross, last: Gross, mean: StableMean) -> Steps[tuple[Gross, StableMean]]:
-    """As `note_moved` of the weighing before and the last one, `mean`; what has gained at once is looked at once more,
-    and is then told by these two.
+    """Note what a full container has gained or lost up to the weighing `mean`; returns the last two weighings.
 
-    What had come to rest, has gained at once, and rests again has got a drop, and no drift that any dose may have had:
-    that takes its time, or goes on.
+    A gain at once is weighed again later. If the pan is at rest then, it was a drop, and not a drift that any dose may
+    have had: that takes its time, or goes on.
     """
     now, digit_mg = weighing_of(mean), cell.spec.balance.readability_mg
     if moved_mg(before, now, digit_mg) <= 0.0 or not _came_at_once(cell, before, now):
@@ -130,23 +129,23 @@ def look_after_gain(cell: Cell, before: Gross, last: Gross, mean: StableMean) ->
 
 
 def _came_at_once(cell: Cell, before: Gross, now: Gross) -> bool:
-    """Whether the readings between two weighings rise as by one drop: no slower than the balance shows it."""
+    """Whether the readings between two weighings rise as fast as the balance can show one drop."""
     seen = [one for one in cell.readings.copy() if before.time_s < one.time_s < now.time_s]
     took_s = rising_s(before, [(one.time_s, one.value_mg) for one in seen], now)
     return took_s <= RISE_READINGS * cell.spec.balance.period_s + RISES * _late_s(cell)
 
 
 def _late_s(cell: Cell) -> float:
-    """The delay of the balance, or that of its slow face."""
+    """The delay of the balance [s]; of its slow speed if it adapts."""
     belief = cell.balance_belief
     return 2.0 * belief.lag_s * (math.exp(belief.doubt) if belief.adapts else 1.0)
 
 
 def weigh_before_dose(cell: Cell, allowed_mg: float) -> Steps[tuple[Gross, StableMean]]:
-    """Two weighings that agree of what stands there, before more comes into it: they tell the drift by then.
+    """Two weighings in a row that agree, before more comes into the container; they show the drift until then.
 
-    What a container has gained since its last dose, by more than chance often makes, may have dripped as the hand left
-    with one powder or came with the next: no step of the zero, and no drift that goes on in the dose.
+    What the container has gained since its last dose may have dripped as the hand left or came: it is neither a step
+    nor a drift that goes on.
     """
     bracket, digit_mg = cell.believed.bracket, cell.spec.balance.readability_mg
     assert bracket is not None
@@ -167,9 +166,9 @@ def weigh_before_dose(cell: Cell, allowed_mg: float) -> Steps[tuple[Gross, Stabl
 
 
 def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
-    """Let the changer change the load, and see whether the pan goes on showing what it has shown until that comes.
+    """Let the changer change the load, and compare what the pan shows until then with an earlier weighing.
 
-    Nothing falls then: it is the zero that moves. A person who changes containers leans on what they may.
+    Nothing falls then, so a difference is the zero's. Not with a person, who may lean on the pan.
     """
     if cell.changer.needs_person:
         yield from changing
@@ -190,7 +189,7 @@ def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
 
 
 def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
-    """Stable readings against an earlier weighing of the same, unless they show that the load has changed."""
+    """Compare stable readings with an earlier weighing of the same, unless they show that the load has changed."""
     digit_mg, values_mg = cell.spec.balance.readability_mg, [reading.value_mg for reading in stable]
     u_mg = math.hypot(statistics.stdev(values_mg) / math.sqrt(len(values_mg)), digit_mg / math.sqrt(12.0))
     now = Gross(statistics.fmean(values_mg), u_mg, stable[-1].time_s)
@@ -199,10 +198,11 @@ def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
 
 
 def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
-    """The gross when something has come or gone: a balance with a dead time goes on showing for a while what was.
+    """The gross after something has come or gone, once the balance has caught up.
 
-    One that took long to call itself stable creeps on after it, by some tenths of a milligram: it is weighed until it
-    has come to rest. SkillFailed balance.unstable where readings that are called stable go on showing other loads.
+    With a dead time it first goes on showing the earlier load. A balance that took long to call itself stable still
+    creeps by some tenths of a milligram, and is weighed until it is at rest. Raises SkillFailed balance.unstable if
+    readings called stable go on showing different loads.
     """
     end_s = cell.clock.now_s + LONGEST_DELAY_S
     while was_mg is not None and cell.clock.now_s < end_s:
@@ -231,9 +231,9 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
 
 
 def weigh_left(cell: Cell, before: Gross) -> Steps[StableMean]:
-    """The gross of what the hand has left, with all that fell until then; what that is more or less is remembered.
+    """The gross after the hand has left (l1), with all that fell until then; notes what was gained or lost.
 
-    A balance that is late shows what was before, and calls it stable: it is weighed again once it must show what is.
+    A slow balance first shows the earlier load, and calls it stable: it is weighed again after its delay.
     """
     mean, delay_s = (yield from cell.right_of_way.stable_mean()), _late_s(cell)
     for _ in range(LOOKS if delay_s > PROMPT_S else 0):
@@ -248,13 +248,13 @@ def weigh_left(cell: Cell, before: Gross) -> Steps[StableMean]:
 
 
 def _is_on_its_way(mean: StableMean) -> bool:
-    """Whether a balance has called readings stable that show the load as it comes: some say so for seconds after it."""
+    """Whether readings called stable show the load as it comes; some balances say so for seconds."""
     values_mg = [reading.value_mg for reading in mean.readings]
     return max(values_mg) - min(values_mg) > CHANGED_MG
 
 
 def _stable_s(cell: Cell, since_s: float) -> float:
-    """When the balance had called a pan stable for as long as a weighing takes, whenever the arm let it be weighed."""
+    """When the balance had called the pan stable for as long as a weighing takes, even if none was made."""
     stable = 0
     for reading in cell.readings.copy():
         stable = stable + 1 if reading.stable and reading.time_s > since_s else 0
@@ -264,7 +264,7 @@ def _stable_s(cell: Cell, since_s: float) -> float:
 
 
 def changed(cell: Cell, changing: Steps[None], shown: StableMean) -> Steps[tuple[StableMean, Step | None]]:
-    """Let the changer change the load, and weigh what is on the pan then; and how the balance has shown it."""
+    """Let the changer change the load, and weigh it; returns the weighing, and how the balance has shown the change."""
     yield from watched(cell, changing, weighing_of(shown))
     changed_s = cell.clock.now_s
     mean = yield from weigh_changed(cell, shown.value_mg)
@@ -272,12 +272,11 @@ def changed(cell: Cell, changing: Steps[None], shown: StableMean) -> Steps[tuple
 
 
 def is_to_be_weighed_again(cell: Cell, lots: Collection[str] = ()) -> bool:
-    """Whether no container of this run has told yet whether the zero steps, or none with one of these powder lots; or
-    every one is to, as the cell has it.
+    """Whether a container goes on the pan twice (docs/weighing.md, Containers that are weighed twice).
 
-    A zero that is elsewhere while a lone container is dosed, and back by the next weighing, is told by nothing else;
-    nor is a force that comes with a powder, and decays too slowly to show sooner.
-    No person is asked to put back what was just taken away.
+    That is so for a run's first container, for the first with each of these powder lots, and for all if the cell says
+    so. Otherwise nothing would show a zero that is elsewhere while a lone container is dosed, and back by the next
+    weighing; nor a force that comes with a powder and decays slowly. No person is asked to do it.
     """
     told = cell.believed.told_lots
     is_asked = cell.spec.balance.weighed_twice == "every" or not told or not set(lots) <= set(told)
@@ -287,9 +286,9 @@ def is_to_be_weighed_again(cell: Cell, lots: Collection[str] = ()) -> bool:
 def note_again(
     cell: Cell, container: str, first: tuple[StableMean, StableMean], bare: StableMean, loaded: StableMean
 ) -> None:
-    """The same container about the bare pan, twice: what they differ by, beyond chance, is a step of the zero.
+    """Compare two weighings of one container, each against the bare pan; more than chance is a step of the zero.
 
-    So is what the bare pan or the loaded one shows else than before: two steps may leave their difference as it was.
+    So is a change of the bare or the loaded pan alone: two steps may leave their difference as it was.
     """
     digit_mg, again = cell.spec.balance.readability_mg, (bare, loaded)
     for before, now in zip(first, again, strict=True):
@@ -310,9 +309,9 @@ def note_again(
 
 
 def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Step | None:
-    """How the balance has shown what came on its pan or went, by `changed_s` at the latest, where that can be told.
+    """How the balance has shown a load that came or went by `changed_s`; None where that cannot be told.
 
-    When a person has done it nobody knows: it counts from where it shows, and no dead time is seen.
+    With a person nobody knows the moment: it counts from where it shows, and no dead time is seen.
     """
     if abs(after.gross_mg - before.gross_mg) < CHANGED_MG:
         return None
@@ -324,26 +323,25 @@ def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Ste
 
 
 def seems_to_adapt(cell: Cell, step: Step, beyond: float = SURELY) -> bool:
-    """Whether a known balance, whose filter did not adapt, has shown a container as one does that has begun to.
+    """Whether a known balance that did not adapt has shown a container like one that does, by more than chance.
 
-    By more than chance, so many standard deviations; no person is asked to show it once more.
+    `beyond` is in standard deviations. No person is asked to show it once more.
     """
     known = cell.balance_belief
     if known.fits == 0 or known.adapts or cell.changer.needs_person:
         return False
     if not balance_of(step, beyond).adapts:
         return False
-    # What takes less than a reading longer at its last is no filter that adapts: one that rings looks like it, and so
-    # does one whose container was weighed a tenth of a milligram too high.
+    # The last part must take at least a reading longer. Else a ringing filter looks like it, and so does a container
+    # that was weighed a tenth of a milligram too high.
     return 2.0 * balance_of(step).lag_s > step.delay_s + cell.spec.balance.period_s
 
 
 def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = False) -> None:
-    """Before a dose: a balance that is slower or quicker than it was, has another filter, adapts as it did not or no
-    more, or is unknown, is taken for what it has shown of a container.
+    """Before a dose: believe the container about a balance that is slower, quicker or of another filter now.
 
-    One of a thousand of a sound balance looks as if it adapted: it does if it has seemed to before, and does again.
-    SkillFailed balance.slow where nothing doses safely with it.
+    The same holds for one that has begun to adapt, or ceased to, or is unknown. One container in a thousand looks by
+    chance like a filter that adapts, so this must show twice. Raises SkillFailed balance.slow if no dose is safe.
     """
     delay_s, inexact_s = step.delay_s, cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
     if delay_s > LONGEST_DELAY_S + inexact_s:
@@ -355,9 +353,9 @@ def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = F
         cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
     found, known = balance_of(step), cell.balance_belief
     has_begun_to_adapt = has_seemed_to_adapt and seems_to_adapt(cell, step, beyond=0.0)
-    # One container of two hundred looks like it by chance where nothing is known of the balance.
+    # Where nothing is known of the balance, one container in two hundred looks like it by chance.
     adapts_no_more = known.adapts and is_linear(step, SURELY)
-    # By an earlier container: doses know a filter that adapts for slower than any step of one.
+    # Compared with an earlier container: doses believe a filter that adapts to be slower than any step shows.
     is_quicker = known.shown_s > SLOWER * delay_s + inexact_s
     is_other = known.fits > 0 and known.shown_s > 0.0 and (is_quicker or is_unlike(step, known.shape))
     is_news = known.fits == 0 or has_begun_to_adapt or adapts_no_more or is_other
@@ -368,7 +366,7 @@ def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = F
         elif is_other and not is_slower:
             shapes = {"shape": found.shape, "known_shape": known.shape}
             cell.record.event(BalanceChanged(delay_s=delay_s, known_s=known.shown_s, **shapes))
-        # How late it shows what a person puts down has their own time in it.
+        # A person's own time is in the delay of what they put down.
         cell.balance_belief = found.model_copy(update={"shown_s": 0.0}) if cell.changer.needs_person else found
     if not is_slower and cell.known_delay_s is not None:
         delay_s = min(delay_s, known_s)
@@ -376,6 +374,6 @@ def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = F
 
 
 def require_unchanged(cell: Cell) -> None:
-    """SkillFailed container.changed where the container that was on the pan counts no more."""
+    """Raise SkillFailed container.changed if the container that was on the pan no longer counts."""
     if cell.believed.given_up:
         raise SkillFailed(Code.CONTAINER_CHANGED, cell.believed.given_up)

@@ -1,4 +1,4 @@
-"""Dosing: the cone's geometry, the flow model, and the controllers behind one interface.
+"""Dosing: the cone's geometry, the flow, the balance, and the controllers behind one interface (docs/dosing.md).
 
 Pure: no device, no clock, no file.
 """
@@ -37,7 +37,7 @@ DEFAULT_CONTROLLER = "adaptive"
 
 
 def _adaptive(request: DoseRequest) -> Controller:
-    from scuhand_bt.dosing.adaptive import Adaptive  # what it is compiled by takes half a second to load
+    from scuhand_bt.dosing.adaptive import Adaptive  # deferred: its compiled code takes half a second to load
 
     return Adaptive(request)
 
@@ -50,12 +50,12 @@ CONTROLLERS: Mapping[str, Callable[[DoseRequest], Controller]] = {
 
 
 def new_controller(name: str, request: DoseRequest) -> Controller:
-    """A controller for one dose; ValueError for an unknown name."""
+    """A controller for one dose; raises ValueError for an unknown name."""
     if name not in CONTROLLERS:
         raise ValueError(f"no controller is called '{name}'; there are {', '.join(CONTROLLERS)}")
     return CONTROLLERS[name](request)
 
 
 def prepare() -> None:
-    """Load what is compiled, so that no dose waits for it: some seconds the first time, and then half of one."""
+    """Load compiled code, so that no dose waits for it: some seconds the first time, half a second later."""
     import scuhand_bt.dosing.filters  # noqa: F401

@@ -1,12 +1,9 @@
-"""Controller `adaptive`: openings steered by what the bank of filters knows, shut on the predicted final mass.
+"""Controller `adaptive`, the default: one dose, opening by opening (docs/dosing.md, The policy).
 
-A dose is openings, each followed by a look with the valve shut, until a stable mean is in tolerance. An opening
-(`opening`) is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when
-for a while powder did not come as it should, so that either a bridge holds it back or the balance does; when a lump's
-share was shaken out; or near the target on a balance that adapts, which has been in a hurry until then.
-
-Where an opening brought nothing the next one is tried again, then shaken, gently and then fully. Only a look that shows
-that nothing has come, all shaking notwithstanding, makes it believe in less flow, and so open wider.
+Each opening (`opening`) shuts on the predicted final mass, or on one of the reasons of docs/dosing.md. A look with the
+valve shut follows, until a stable mean is in tolerance or the load has given out. Where an opening brought nothing, the
+next is tried again, then shaken gently, then fully (`shaking`). Only an opening in vain that was fully shaken makes the
+controller believe in less flow, and so open wider.
 """
 
 from collections.abc import Generator
@@ -32,50 +29,50 @@ from scuhand_bt.dosing.pulses import pulses
 from scuhand_bt.dosing.shaking import FAR_MG, FULL, shaken
 
 MOST_OPENINGS = 200
-"""Of a dose."""
+"""Most openings of a dose."""
 LOOKED, LOOKED_SD_MG, LEAST_SD_MG = 3, 0.3, 0.05
-"""After a look the mass is the mean of so many readings, give or take this; no stable mean is surer than the last."""
+"""After a look, the mass is the mean of LOOKED readings, known to LOOKED_SD_MG; by a stable mean, to LEAST_SD_MG."""
 LISTENED = 12
-"""Readings that tell an unknown balance's noise."""
+"""Readings from which an unknown balance's noise is learnt."""
 PROBE_MG = 40.0
-"""The most that is let out onto a balance that is not known yet."""
+"""The most that one opening lets out onto an unknown balance."""
 CAME_SHARE, CAME_MG, CAME_NOISES = 0.2, 20.0, 4.0
-"""An opening that brought this share of what was expected, or of so much, was not in vain; nor more than so many
-standard deviations of a reading."""
+"""An opening was in vain unless it brought this share of what was expected (of at most CAME_MG), and more than
+CAME_NOISES standard deviations of a reading."""
 COMES_MG, COMES = 1.0, 3.0
-"""Powder comes where there is so much more than before, and more by so many standard deviations."""
+"""Powder has come if M grew by at least COMES_MG and by COMES standard deviations."""
 SLOW_SHARE = 0.5
 """An opening that brought less than this share of what was missing was too narrow."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, LAST_LUMPS = 0.7, 3.0, 0.12, 1.5
-"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share of
-one, or of what is missing where that is so many of them."""
+"""Lumps of more than LUMPY_MG are shaken out singly over the last LUMPS_LEFT of them. Each opening should then bring
+LUMP_SHARE of a lump, or of what is missing over LAST_LUMPS if that is more."""
 LUMPS_MISSED = 2.5
-"""So many lumps should have been shaken out, and none has: so narrow an opening lets none through."""
+"""An opening through which so many lumps should have come, and none has, is too narrow for any."""
 REST_MG = 0.3
-"""The balance has seen what there is to see but for this."""
+"""A look ends when no more than this, and twice the noise, is unseen."""
 LONGEST_LOOK_S = 25.0
 DOUBTFUL_MG = 1.0
-"""A stable mean may differ from what the readings led to expect by this, besides chance: powder drips."""
+"""A stable mean may differ from what was expected by this much besides chance: powder drips."""
 AGAIN_S = 3.0
-"""A stable mean that surprised is taken again after this."""
+"""A surprising stable mean is taken again after this."""
 LONGEST_DOUBT_S = 120.0
-"""Those that have gone on surprising for so long are the zero's, which comes and goes: the last one counts."""
+"""After this long, surprising means come from an unsteady zero, and the last one counts."""
 LEFT_MG = 1.0
-"""With more than this to go the stable mean can wait."""
+"""With more than this missing to the aim, no stable mean is taken yet."""
 PRIMES_S = 10.0
-"""A fresh load may give nothing for so long, open and fully shaken: that says nothing of its flow."""
+"""A fresh load may give nothing for so long, open and fully shaken, without a weaker flow to be concluded."""
 LAST_MG = 500.0
-"""So near to the target the rest of a load is left for a fresh one: shaken it flows several times as fast as before,
+"""With less than this missing, the rest of a load is left for a fresh one: shaken, it flows several times as fast,
 which is seen late."""
 RESTS_SHARE = 0.2
-"""Of a load: where more should be in it still, and next to nothing comes, that is its rest; else its end is near, which
-tells how large it was."""
+"""Share of a load. With more in the cone, powder that stops coming is the rest of a load; with less, the load's end is
+near and tells how large it was."""
 FLOWED_SHARE = 1 / 3
-"""Of a load; before, a bridge is likelier than that the rest does not flow."""
+"""Share of a load that must have come; before that, a bridge is likelier than a rest."""
 EMPTY_S, DRY_S = 8.0, 60.0
-"""Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
+"""Time open and fully shaken without powder until a load is given up: a cone that is all but empty, and any other."""
 SCOOPED_ANEW_S = 3.0
-"""The same for what is in any case to be scooped for again: less is left than is missing, and has stopped to come."""
+"""The same where less is in the cone than is missing, so that it must be scooped for anyway."""
 
 Ended = Seen | Literal["dry", "long"]
 """Why an opening ended."""
@@ -90,16 +87,16 @@ class Adaptive:
         self._known = Knowledge(request)
         self._steps = self._stream() if request.streaming else pulses(self._known)
         self._start_mg = self._weighed_s = 0.0
-        """What was on the pan before; when there was a stable mean last."""
+        """The first reading of the dose; the time of the last stable mean."""
         self._vibration = request.powder.vibration
         self._barren_s = self._barren_mg = 0.0
-        """Open and fully shaken, without powder; what there was when some came last, or as this opening began."""
+        """Time open and fully shaken without powder; the mass when powder last came, or when this opening began."""
         self._fruitless = 0
-        """Openings in a row that brought nothing."""
+        """Openings in vain in a row."""
         self._has_come = False
-        """Whether any opening has brought something."""
+        """Whether any opening has brought powder."""
         self._flowed_mg: float | None = None
-        """What had come after the last opening that brought something without being shaken for it."""
+        """The mass after the last opening that brought powder without extra shaking."""
 
     @property
     def estimate_mg(self) -> float:
@@ -141,10 +138,11 @@ class Adaptive:
         return known.finish("step_limit", seen)
 
     def _take_in(self, ended: Ended) -> bool:
-        """What an opening and its look have told; whether next to nothing came, of what flowed before."""
+        """Learn from an opening and its look; returns whether next to nothing came, by the flow seen in this dose."""
         known = self._known
         gained_mg = known.bank.mass_mg - known.begin_mg
-        if self._given_up != "empty":  # else a fresh load brings the rest sooner
+        # an all but empty cone must bring powder while it is open: else a fresh load is sooner
+        if self._given_up != "empty":
             self._note_gain(CAME_SHARE * CAME_MG if known.room_mg > FAR_MG else COMES_MG)
         phi_s = sum(row.phi_s for row in known.rows)
         should_mg = known.seen_now * phi_s if self._has_come else 0.0
@@ -156,7 +154,7 @@ class Adaptive:
             self._flowed_mg = known.bank.mass_mg
         if came or (self._vibration >= FULL and (self._has_come or self._barren_s > PRIMES_S)):
             known.learn(gained_mg)
-        # Lumps come when they will: several openings must have been in vain before they say something of a width.
+        # Lumps come by chance: only after several openings in vain is the width too small for them.
         little = gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg)
         enough = LUMPS_MISSED / LUMP_SHARE if self._lump_mg() else 2
         in_vain = not came and self._fruitless >= enough if self._is_lumpy else little
@@ -166,7 +164,7 @@ class Adaptive:
         return ebbs
 
     def _weigh(self) -> Generator[Command, Observation, Observation]:
-        """A stable mean; again, and with doubts about the balance, while it is not what its readings led to expect."""
+        """A stable mean; taken again, and the balance doubted, while it is far from what the readings predicted."""
         known = self._known
         yield from self._look(0.0)
         expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
@@ -181,19 +179,19 @@ class Adaptive:
         return seen
 
     def _gave_out(self, *, ebbs: bool = False) -> Reason | None:
-        """Why the dose does not go on out of this load, if it does not. `ebbs`: an opening brought next to nothing."""
+        """Why the dose does not go on from this load; None if it does. `ebbs`: an opening brought next to nothing."""
         request, room_mg = self._known.request, self._known.room_mg
         came_mg, load_mg = request.came_mg + self._dosed_mg, request.came_mg + request.cone_mg
         may_scoop = request.may_scoop_again and came_mg > FLOWED_SHARE * load_mg
         is_empty = self._given_up == "empty"
         dry_s = EMPTY_S if is_empty or (may_scoop and room_mg > FAR_MG) else DRY_S
-        # Of lumps so short a bridge would pass for the end, with more than half of the load behind it.
+        # Not for lumps: so short a bridge would pass for the end, with more than half of the load behind it.
         if is_empty and self._has_come and not self._is_lumpy:
             dry_s = SCOOPED_ANEW_S if room_mg > max(request.cone_mg - self._dosed_mg, FAR_MG) else dry_s
         if self._barren_s > dry_s:
             return self._given_up
         comes_only_shaken = self._vibration > request.powder.vibration or ebbs
-        # The next load brings as much as this one has brought by itself sooner than this one when it is shaken.
+        # A fresh load brings as much as this one has brought so far sooner than this one does when it is shaken.
         fresh_mg = max(LAST_MG, came_mg) if is_empty and came_mg < (1.0 - RESTS_SHARE) * load_mg else LAST_MG
         return "rest" if may_scoop and comes_only_shaken and room_mg < fresh_mg else None
 
@@ -210,7 +208,7 @@ class Adaptive:
         return self._known.bank.surge_mg > LUMPY_MG
 
     def _look(self, rest_mg: float) -> Generator[Command, Observation, None]:
-        """Valve shut: until the balance has shown what there is but for `rest_mg`."""
+        """Wait with the valve shut until the balance has shown all but `rest_mg`."""
         known, begin_s = self._known, self._known.time_s
         while known.time_s - begin_s <= LONGEST_LOOK_S:
             yield from known.act(0.0, 0.0)
@@ -219,13 +217,13 @@ class Adaptive:
                 return
 
     def _open(self) -> Generator[Command, Observation, Ended]:
-        """One opening, until it should shut."""
+        """One opening, until it should shut; returns why."""
         known, bank = self._known, self._known.bank
         if known.aim_mg <= bank.mass_mg:
             return "reached"
         most_mg = known.most_mg if known.knows_balance else min(known.most_mg, bank.mass_mg + PROBE_MG)
         opening = Opening(known, most_mg, self._lump_mg())
-        # Where a fresh load brings the rest sooner than what still trickles, each opening must bring some.
+        # Farther away, or where a fresh load is sooner, each opening has to bring powder by itself.
         is_far = known.room_mg > FAR_MG or self._given_up == "empty"
         self._barren_mg = bank.mass_mg if is_far else min(self._barren_mg, bank.mass_mg)
         while True:
@@ -243,7 +241,10 @@ class Adaptive:
                 return "long"
 
     def _note_gain(self, least_mg: float) -> None:
-        """Whether powder has come: after short openings, or on a slow balance, most is seen when the valve is shut."""
+        """Note whether powder has come.
+
+        After short openings, or on a slow balance, most is seen once the valve is shut.
+        """
         bank = self._known.bank
         gained_mg = bank.mass_mg - self._barren_mg
         if gained_mg > least_mg and gained_mg > COMES * bank.mass_sd_mg:

@@ -1,16 +1,13 @@
-"""What is believed to lie in a mortar, as its last strokes have left it.
+"""What is believed to lie in a mortar's bowl, as its last strokes have left it (docs/scoop.md, The bed).
 
-A lip that follows the wall at a gap takes what lies above that, and leaves a layer, not a level bed. Strokes are
-turned, but their rims are narrower than the bowl, and higher beside the lip: at the share r of the bore the layer is
+A stroke at a gap leaves a layer, not a level bed. What has come since lies level on it, or as a heap. With h the wall's
+height, phi its slope, r the distance from the middle as a share of half the bore:
 
-    g = gap + S r^2 where the wall is less steep than the repose rho, else the gap
+    layer      t = min(g, (level - h) cos phi),      g = gap + S r^2, where the wall keeps powder, else gap
+    bed        t = max(t, (level' - h) cos phi)
 
-thick at the most. So its thickness t, across the wall, is where that is h high and phi steep
-
-    t = min(g, (level - h) cos phi),    level so that  m = density sum(t dA)
-
-What has come since lies level on the layer, t = max(t, (level' - h) cos phi), as all of it does in a bed that was never
-scooped from. Masses in mg, lengths in mm.
+with the levels such that the masses are right: m = density sum(t dA). A bed that was never scooped from is level.
+Masses in mg, lengths in mm.
 """
 
 import math
@@ -24,16 +21,16 @@ from scuhand_bt.dosing.swing_plane import Floats
 from scuhand_bt.specs import Mortar, Powder
 
 SIDES_MM = 0.4
-"""S: how much thicker at the bore's edge is what strokes with a gap leave. By the height field."""
+"""S: how much thicker the layer is at the bore's edge. By the height field."""
 BENDS_MM = 0.5
-"""How far the sheet may bend down to the wall: assumed, not measured. What is expected is a rigid one's."""
+"""How far the sheet may bend down to the wall: assumed, not measured. What is expected takes a rigid one."""
 RINGS = 100
 THIN_MM, THIN_MG = 0.01, 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """A stroke that was made along a jar's floor: what is left on its way is so thick under the lip."""
+    """A stroke that was made along a jar's floor: the layer under its lip, and its heading."""
 
     heading_deg: float
     left_mm: float
@@ -41,27 +38,27 @@ class Pass:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """What the last stroke has left on a mortar's wall: no thicker than that, and so much.
+    """What the last stroke has left on a mortar's wall: a mass, nowhere thicker than the gap.
 
-    With a lip on the wall, it lies wherever the stroke has not reached it.
+    With the lip on the wall, it lies wherever the stroke has not reached it.
     """
 
     gap_mm: float
     mass_mg: float
     beside_mg: float = 0.0
-    """What has fallen back before lips that left the wall, besides: high up, where the next strokes find little."""
+    """Besides, what has fallen back before lips that left the wall: high up, where the next strokes find little."""
     missed_mg: float = 0.0
-    """Of that, what is there only because the last stroke did not find it: the next one may find it all the same."""
+    """The part of `beside_mg` that the last stroke should have found and did not; the next one may still find it."""
     more_mg: float = 0.0
-    """What the last stroke may have brought besides, as the sheet bends: who pours its load back pours that, too."""
+    """What the last stroke may have brought besides, if the sheet bends; it is then poured back with the load."""
     is_lens: bool = False
-    """It, or one before it, was cut out of a bowl that was more than half full."""
+    """Whether this stroke, or one before it, cut into a bowl that was more than half full."""
     passes: tuple[Pass, ...] = ()
-    """In a jar (`jars.py`), the last stroke along each heading."""
+    """In a jar (`jars.py`): the last stroke along each heading."""
 
 
 class Bed:
-    """What is believed to lie in a mortar: so much, of it no more than was left in a layer, and on that the rest."""
+    """What is believed to lie in a bowl: what was left in a layer, and on it what has come since."""
 
     def __init__(
         self, mortar: Mortar, mass_mg: float, powder: Powder, layer: Layer | None = None, *, is_heaped: bool = False
@@ -81,7 +78,7 @@ class Bed:
         self._falls = math.tan(math.radians(powder.repose_deg)) if is_heaped else 0.0
 
         self.if_found: Bed | None
-        """The same, if the last stroke has missed nothing, and what it lacked was poured back as a heap."""
+        """This bed, if the last stroke missed nothing and what its load lacked was poured back as a heap."""
         self.was_scooped_from = layer is not None
         self.beside_mg = min(layer.beside_mg, mass_mg) if layer is not None else 0.0
         self.missed_mg = min(layer.missed_mg, mass_mg) if layer is not None else 0.0
@@ -99,9 +96,9 @@ class Bed:
         self._lies = self._thick_mm > (left_mm if is_heaped else 0.0) + THIN_MM
 
         self.if_heaped: Bed | None = None
-        """The same, if what has come since the last stroke was poured back as a heap: above half of the depth."""
+        """This bed, if what came since the last stroke lies as a heap; only above half the depth."""
         self.if_more: Bed | None = None
-        """And if the last stroke has brought all that it may."""
+        """The same, if the last stroke has also brought all that it may."""
         self._is_full = is_heaped or self.mass_mg > powder.bulk_density_mg_per_mm3 * mortar.capacity_mm3 / 2
         self.is_lens = self._is_full or (layer is not None and layer.is_lens)
         is_high = not is_heaped and self.surface_mm > mortar.depth_mm / 2
@@ -111,7 +108,7 @@ class Bed:
             self.if_more = Bed(mortar, self.mass_mg, powder, more, is_heaped=True)
 
     def _fill(self, up_to: Callable[[float], Floats], mass_mg: float) -> None:
-        """As thick as it is up to the level that makes this mass."""
+        """Set the thickness to that up to the level that makes this mass."""
         low_mm, high_mm = 0.0, self.mortar.depth_mm + self._falls * self.mortar.bore_mm / 2
         while high_mm - low_mm > THIN_MM:
             middle_mm = (low_mm + high_mm) / 2
@@ -124,27 +121,27 @@ class Bed:
 
     @property
     def radius_mm(self) -> float:
-        """How far from the middle there is powder; of a heap, how far that goes."""
+        """The radius within which there is powder; of a heap, its own."""
         return float(self._out_mm[self._lies].max(initial=self._out_mm[0]))
 
     @property
     def surface_mm(self) -> float:
-        """How high it lies at most, above the bowl's lowest point."""
+        """The greatest height of powder above the bowl's lowest point."""
         radius_mm = self.mortar.bowl_radius_mm
         cosine = np.sqrt(1 - (self._out_mm / radius_mm) ** 2)
         return float((radius_mm * (1 - cosine) + self._thick_mm / cosine)[self._thick_mm > THIN_MM].max(initial=0.0))
 
     def above_mg(self, gap_mm: float, slip_mm: float = 0.0) -> float:
-        """What is farther from the wall than that, without what slips past the lip."""
+        """The mass farther from the wall than a gap, less what slips past the lip."""
         left_mm = gap_mm + self._sides_mm if gap_mm > LIP_GAP_MM else gap_mm
         above_mm = np.maximum(self._thick_mm - left_mm, 0.0)
         return self._mass_mg(above_mm - np.minimum(slip_mm, above_mm / 3))
 
     def above_bent_mg(self, gap_mm: float, rim_mm: float, leans_deg: float) -> float:
-        """What is farther from the wall than a rim that has bent down to it.
+        """The mass farther from the wall than a rim that has bent down to it.
 
-        Its plane leans from the wall's upright at the lip by `leans_deg`. It is narrower than the bowl; of one that is
-        more than half full it may be wider than what the lip follows.
+        The rim's plane leans by `leans_deg` from the wall's normal at the lip. It is narrower than the bowl; in a bowl
+        more than half full it may be wider than the circle that the lip follows.
         """
         radius_mm, curved = self.mortar.bowl_radius_mm, 2 / rim_mm * math.cos(math.radians(leans_deg))
         followed_mm = max(radius_mm - gap_mm, rim_mm / 3)

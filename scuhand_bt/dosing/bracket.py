@@ -1,29 +1,21 @@
-"""What a container has gained, by weighings that bracket it, with the uncertainty of that.
+"""What a container has gained, by weighings that bracket it, with its uncertainty (docs/weighing.md).
 
-A dose is the difference of two weighings with the hand in place and the valve shut, less the drift between them:
+**D, the dose**, between two weighings with the hand in place and the valve shut, less the drift between them:
 
     D = g1 - g0 - r T,      u(D)^2 = u0^2 + u1^2 + w^2 T + (T u(r))^2
 
-g gross [mg], T the time between them [s], r the drift's rate [mg/s] as it was before and after the dose and whenever it
-was interrupted, w the random walk of the zero [mg/s^0.5]. What the container has gained is told once more when it has
-gone, by the bare pan before and after it (A-B-A, as for mass standards: OIML R 111-1, C.5; NIST SOP 4):
+g gross [mg], T the time between them [s], r the drift's rate [mg/s], w the random walk of the zero [mg/s^0.5].
+
+**N, the bracket**, once the container has gone (A-B-A, as for mass standards: OIML R 111-1, C.5; NIST SOP 4):
 
     N = (l1 - a1) - (l0 - a0)
 
-a bare pan, l loaded pan, the hand away. D and N share no weighing: a zero that steps between g0 and g1 is in D alone;
-one that steps between a and l, and what drips after g1, is in N alone. They are adjusted to each other by least
-squares; where they are farther apart than chance, neither is believed. A force that grows with the container, and goes
-with it, is in N though the drift in D tells of it: N is no surer than what was taken out of D and the bare pan does not
-show, and nothing that is adjusted is surer than that drift.
+a bare pan, l loaded pan, the hand away. D and N share no weighing, and `close` combines them by least squares. Where
+they differ by more than chance, neither is believed. A force that grows with the container, and goes with it, is in N.
+So N is no surer than the drift that was subtracted from D and that the bare pan does not show.
 
-A zero that steps between g0 and g1 and back between l1 and a1 is in both alike, as is one that steps between a0 and l0
-and back in the dose: no weighing of that container tells. That there are such steps is told by those that are seen,
-and the largest of them tells how large the others may be: it enters u of every dose of the run.
-
-The budget of u has these terms: readability and repeatability (in the u of each weighing), drift (r), zero (w).
-Eccentricity drops out of the differences: the container does not move between g0 and g1, nor the carousel's places.
-The balance's sensitivity is the check weight's business (`check_weight`). Air's buoyancy is not corrected: masses are
-conventional ones, 0.03 % (2.5 g/cm3) to 0.06 % (1.6 g/cm3) less than mass (OIML D 28).
+One disturbance may be in D and N alike. The largest step that a run has seen tells how large such steps may be, and
+enters u of every dose (`unseen_mg`). Masses are conventional ones (OIML D 28).
 """
 
 import math
@@ -37,30 +29,30 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scuhand_bt.dosing.controller import LONGEST_UNWEIGHED_S
 
 AGREEMENT = 4.0
-"""Standard deviations of their difference by which two results of one thing may be apart: by chance 1 in 16 000 are."""
+"""Results of one thing agree within so many standard deviations of their difference; by chance 1 in 16 000 do not."""
 HARDLY, RARELY, SURELY = 2.0, 2.5, 3.0
-"""Standard deviations of a drift: by chance 1 in 20, 1 in 80, and 1 in 400 are farther from none."""
+"""Limits of a drift that is chance, in its standard deviations, exceeded in 1 of 20, of 80 and of 400."""
 SOUND_DIGITS_PER_S = 0.05
-"""A sound balance that has warmed up drifts no faster (standard deviation), in digits: 3 in a minute. One that does is
-seen by A-B-A: the drift is in D and N with opposite signs."""
+"""Standard deviation of the drift of a sound, warm balance: 3 digits a minute. A balance that drifts faster is found by
+A-B-A, as the drift is in D and N with opposite signs."""
 SPAN_SHARE = 1e-5
-"""By how much a balance's span may differ (standard deviation) before and after it was off: 2 ppm/K over 5 K."""
+"""Standard deviation of a balance's span before and after it was off: 2 ppm/K over 5 K."""
 WATCHED_SHARE = 0.25
-"""Of the tolerance: the pan is watched after a dose until the drift in it is known to this."""
+"""Share of the tolerance to which the drift of a dose is to be known; the pan is watched for so long."""
 SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
 HIDES_S = LONGEST_UNWEIGHED_S + LONGEST_WATCH_S
 """From one look at the drift of a dose to the end of the next."""
 FELL_READINGS = 5
-"""A lump that lands weighs more for a moment; a median of so many readings does not show it."""
+"""Readings of a median; a lump that lands weighs more for a moment, which that does not show."""
 ADJUSTED = 1.5
-"""Beside the guard band of two standard uncertainties, a dose leaves room for being adjusted by one of them."""
+"""Room that a dose leaves for the adjustment of D, as a factor on the expected combined uncertainty."""
 WALK_DIGITS = 1.0
 """Random walk of a sound balance's zero: standard deviation after a minute, in digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gross:
-    """The gross mass at a time: a stable mean with its standard uncertainty."""
+    """A gross mass at a time: a stable mean with its standard uncertainty."""
 
     gross_mg: float
     uncertainty_mg: float
@@ -74,7 +66,7 @@ class Drift:
     rate: float
     uncertainty: float
     is_doubted: bool = False
-    """Chance would rarely have made what was seen, and nothing is taken out for it."""
+    """Whether chance would rarely make what was seen, though nothing is subtracted for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,33 +78,36 @@ class Net:
 
 
 def walk_mg(readability_mg: float, duration_s: float) -> float:
-    """How far a sound balance's zero may have wandered (standard deviation)."""
+    """How far a sound balance's zero may have wandered (standard deviation) [mg]."""
     return WALK_DIGITS * readability_mg * math.sqrt(max(0.0, duration_s) / 60.0)
 
 
 def apart_mg(before: Gross, after: Gross, readability_mg: float) -> float:
-    """The standard deviation of the difference of two weighings of one thing."""
+    """Standard deviation of the difference of two weighings of one thing [mg]."""
     walked_mg = walk_mg(readability_mg, after.time_s - before.time_s)
     return math.hypot(before.uncertainty_mg, after.uncertainty_mg, walked_mg)
 
 
 def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
-    """By how much two weighings of one thing differ; 0 within chance. The zero has moved, or something has come."""
+    """The difference of two weighings of one thing [mg]; 0 within chance.
+
+    Else the zero has moved, or something has come.
+    """
     difference_mg = after.gross_mg - before.gross_mg
     return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
 
 
 def together(first: Gross, again: Gross) -> Gross:
-    """Two weighings of one thing as one, midway between them: a steady drift is in it as it was then."""
+    """Two weighings of one thing as one, midway between them, as a steady drift would have it."""
     u_mg = math.hypot(first.uncertainty_mg, again.uncertainty_mg) / 2.0
     return Gross((first.gross_mg + again.gross_mg) / 2.0, u_mg, (first.time_s + again.time_s) / 2.0)
 
 
 def settled_from(looks: Sequence[Gross], readability_mg: float) -> Gross:
-    """Which weighing of one thing, at like intervals, the last is to be held against for a drift.
+    """The weighing with which the last is to be compared for a drift, of weighings of one thing at equal intervals.
 
-    A filter that creeps after powder rises, and within an interval by less than half as much as in the one before. What
-    falls, or rises on, is no filter, however much less it becomes: a zero that began to creep with the powder.
+    A filter that creeps after powder rises by less than half as much in each interval as in the one before. What falls,
+    or rises on, is a zero that began to creep with the powder.
     """
     first = 0
     while first + 2 < len(looks):
@@ -124,9 +119,9 @@ def settled_from(looks: Sequence[Gross], readability_mg: float) -> Gross:
 
 
 def fallen_mg(readings_mg: Sequence[float]) -> float:
-    """By how much readings fall while powder comes, and stay below: no powder leaves the pan, so it is the zero.
+    """By how much readings fall, and stay below, while powder comes [mg]: no powder leaves the pan, so it is the zero.
 
-    The largest difference of two medians of `FELL_READINGS` readings, of which the first ends before the second begins.
+    The largest difference of two medians of `FELL_READINGS` readings that do not overlap.
     """
     if len(readings_mg) < 2 * FELL_READINGS:
         return 0.0
@@ -136,7 +131,7 @@ def fallen_mg(readings_mg: Sequence[float]) -> float:
 
 
 def rising_s(before: Gross, curve: Sequence[tuple[float, float]], after: Gross) -> float:
-    """How long the gain between two weighings took from a fifth to four fifths, by medians of the readings in between.
+    """How long the gain between two weighings took from a fifth to four fifths [s], by medians of readings.
 
     Where readings are missing it may have taken all that time.
     """
@@ -152,28 +147,28 @@ def rising_s(before: Gross, curve: Sequence[tuple[float, float]], after: Gross) 
 
 
 def unseen_mg(stepped_mg: float, drift_mg_per_s: float, lasted_s: float) -> float:
-    """What the largest step and drift that a run has seen add to the standard uncertainty of a dose that hides others.
+    """Standard uncertainty that the largest step and drift seen in a run add to a dose, which may hide others [mg].
 
-    A drift that goes on for longer than `HIDES_S` shows when the dose is interrupted, and is in its own uncertainty.
-    Each is a standard deviation by few observations: as for two degrees of freedom, 4.30 of it cover what 2 of a known
-    one do (JCGM 100:2008, G.3).
+    A drift that lasts longer than `HIDES_S` shows when the dose is interrupted, and is in its own uncertainty. The
+    standard deviation rests on few observations: for two degrees of freedom 4.30 take the place of 2 (JCGM 100:2008,
+    G.3).
     """
     return math.hypot(stepped_mg, drift_mg_per_s * min(lasted_s, HIDES_S)) * 4.30 / 2.0
 
 
 def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:
-    """By two weighings of one thing at different times."""
+    """The drift by two weighings of one thing."""
     duration_s = after.time_s - before.time_s
     return Drift((after.gross_mg - before.gross_mg) / duration_s, apart_mg(before, after, readability_mg) / duration_s)
 
 
 def is_hardly_chance(drift: Drift) -> bool:
-    """Whether chance makes one drift in twenty as large as this."""
+    """Whether chance exceeds such a drift in less than one of twenty."""
     return abs(drift.rate) > HARDLY * drift.uncertainty
 
 
 def significant(drift: Drift, readability_mg: float) -> Drift:
-    """A drift that may be chance is none; where chance would hardly make it, the balance is not taken for sound."""
+    """The drift to subtract: none if it may be chance. If that is unlikely, its uncertainty counts in full."""
     if abs(drift.rate) > SURELY * drift.uncertainty:
         return drift
     if is_hardly_chance(drift):
@@ -182,13 +177,12 @@ def significant(drift: Drift, readability_mg: float) -> Drift:
 
 
 def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_mg: float) -> Drift:
-    """During a dose, by the drifts seen before it, at each time that it was interrupted, and after it.
+    """The drift of a dose, by those seen before it, at each interruption, and after it.
 
-    `parts_s` is how long each part between two of them was. In a part the drift is the weighted mean of those at its
-    ends, where these agree. Where they do not, it began or ended in between, and may have been faster there than at
-    either end: a creep that sets in when the valve opens is. A sum that is no more than chance is none. What was
-    interrupted is judged by what was seen from then on: before the valve opened nothing could be known of such a creep;
-    and a sum that chance would rarely make, though it might, is its doubt.
+    `parts_s` is the duration of each part between two of them. Where the drifts at a part's ends agree, it has their
+    weighted mean. Where they do not, it began or ended in between, and may have been faster there than at either end. A
+    sum that may be chance is none. In an interrupted dose the drift before the valve opened does not count, as it says
+    nothing about a creep that set in later; and a sum that chance rarely explains is its doubt.
     """
     interrupted = len(seen) > 2
     moved_mg, coefficients_s, spread_mg = 0.0, [0.0] * len(seen), 0.0
@@ -214,17 +208,16 @@ def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_m
 
 
 def watch_s(before: Gross, now: Gross, tolerance_mg: float) -> float:
-    """How long the pan is to be watched after a dose, so that the drift in it is told to a part of the tolerance."""
+    """How long to watch the pan after a dose [s], so that its drift is known to a share of the tolerance."""
     doubt_mg = math.hypot(before.uncertainty_mg, now.uncertainty_mg) * (now.time_s - before.time_s)
     return min(max(doubt_mg / (WATCHED_SHARE * tolerance_mg), SHORTEST_WATCH_S), LONGEST_WATCH_S)
 
 
 def dose_between(weighed: Sequence[tuple[Gross, Gross]], readability_mg: float) -> tuple[Net, Drift]:
-    """What came between the first pair of weighings and the last, and the drift that was taken out.
+    """What came between the first pair of weighings and the last, and the drift that was subtracted.
 
-    Each pair weighs the same twice: before the dose, at each time that it was interrupted, and after it. A pair of one
-    weighing tells no drift. A drift that is not significant is not taken out, as a zero that walks has none; its doubt
-    stays.
+    Each pair weighs the same twice: before the dose, at each interruption, and after it. A pair of equal weighings
+    tells no drift. An insignificant drift is not subtracted, as a zero that walks has none; its uncertainty stays.
     """
     pairs = [pair for pair in weighed if pair[0] != pair[1]]
     seen = [drift_between(*pair, readability_mg) for pair in pairs]
@@ -239,31 +232,31 @@ def dose_between(weighed: Sequence[tuple[Gross, Gross]], readability_mg: float) 
     u_mg = math.hypot(apart_mg(before, later, readability_mg), drift.uncertainty * duration_s)
     if drift.rate == 0.0:
         return Net(mass_mg, u_mg), drift
-    # A weighing that the dose rests on is in the drift too: its error counts for both.
+    # A weighing of the dose is in the drift too, and its error counts for both.
     shared, watched_s = (before if pairs[0] == weighed[0] else later), pairs[0][1].time_s - pairs[0][0].time_s
     twice_mg = shared.uncertainty_mg * math.sqrt(2.0 * duration_s / watched_s)
     return Net(mass_mg - drift.rate * duration_s, math.hypot(u_mg, twice_mg)), drift
 
 
 def standing(bare: Gross, loaded: Gross, readability_mg: float) -> Net:
-    """What stands on the pan, by the bare pan soon before it or after it; whatever the zero is."""
+    """What stands on the pan, by the bare pan soon before or after, whatever the zero is."""
     first, last = sorted((bare, loaded), key=lambda weighing: weighing.time_s)
     drifted_mg = SOUND_DIGITS_PER_S * readability_mg * (last.time_s - first.time_s)
     return Net(loaded.gross_mg - bare.gross_mg, math.hypot(apart_mg(first, last, readability_mg), drifted_mg))
 
 
 def differ_mg(first: Net, again: Net) -> tuple[float, float]:
-    """By how much two results of one thing differ, and how far they may be apart by chance."""
+    """By how much two results of one thing differ, and how far chance may put them apart [mg]."""
     difference_mg = again.mass_mg - first.mass_mg
     return difference_mg, AGREEMENT * math.hypot(first.uncertainty_mg, again.uncertainty_mg)
 
 
 def held(empty: Net, full: Sequence[Net]) -> Net:
-    """What a container holds, by what it weighed empty, and what it weighs now: once, or about the bare pan (A-B-A).
+    """What a container holds, by its weight empty and now: weighed once, or about the bare pan (A-B-A).
 
-    Between the two its balance may have been off, and have another zero, as each is a difference by itself; and a
-    little other span, which counts with all of the container's mass. What the weighings of now differ by is a drift,
-    or a loss, which may have been anywhere between them.
+    Between the two the balance may have been off. Its zero may differ, as each is a difference by itself; a different
+    span counts with the container's whole mass. Weighings of now that differ show a drift or a loss anywhere between
+    them.
     """
     masses_mg = [one.mass_mg for one in full]
     drifted_mg = (max(masses_mg) - min(masses_mg)) / math.sqrt(12.0)
@@ -273,38 +266,38 @@ def held(empty: Net, full: Sequence[Net]) -> Net:
 
 
 def total(nets: Iterable[Net]) -> Net:
-    """The sum of what shares no weighing."""
+    """The sum of results that share no weighing."""
     parts = list(nets)
     return Net(sum(one.mass_mg for one in parts), math.hypot(*(one.uncertainty_mg for one in parts)))
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What a dose is weighed against, just before the valve opens: a net mass reads 0 at `zero_mg`."""
+    """What a dose is weighed against just before the valve opens: a net mass reads 0 at `zero_mg`."""
 
     before: Gross
     drift: Drift
     """Before the dose."""
     earlier: Net
-    """What the same powder has brought into this container by earlier doses."""
+    """What earlier doses of this powder have brought into this container."""
     readability_mg: float
     later_mg: float = math.inf
-    """Standard uncertainty of what the bare pan is going to tell once the container has gone; infinite if it is not."""
+    """Expected standard uncertainty of N once the container has gone; infinite if it does not count."""
 
     @property
     def zero_mg(self) -> float:
         return self.before.gross_mg - self.earlier.mass_mg
 
     def uncertainty_mg(self, now: Gross) -> float:
-        """The standard uncertainty to be expected in the end of a mass weighed now, by the drift before the dose."""
+        """Standard uncertainty to expect in the end of a mass weighed now, by the drift before the dose [mg]."""
         drifted_mg = self.drift.uncertainty * (now.time_s - self.before.time_s)
         walked_mg = apart_mg(self.before, now, self.readability_mg)
         return self.in_the_end_mg(math.hypot(walked_mg, drifted_mg, self.earlier.uncertainty_mg), self.drift)
 
     def in_the_end_mg(self, uncertainty_mg: float, drift: Drift) -> float:
-        """What is left of a dose's uncertainty when the container has gone, as `close` adjusts it, and room for that.
+        """What will be left of a dose's uncertainty once `close` has combined D and N, with room for the adjustment.
 
-        A drift that was seen, or doubted, may grow with the container: its doubt is taken to stay.
+        A drift that was seen, or is doubted, may grow with the container, so its doubt stays.
         """
         if uncertainty_mg == 0.0 or drift.rate != 0.0 or drift.is_doubted:
             return uncertainty_mg
@@ -312,10 +305,9 @@ class Reference:
 
 
 def later_mg(bare: Gross, loaded: Gross, others: Iterable[Net], readability_mg: float) -> float:
-    """The standard uncertainty to be expected of one dose by the bare pan, before the container has gone.
+    """Expected standard uncertainty of one dose by N, before the container has gone [mg].
 
-    As it came, so it is going to go: the weighings and the change are taken to be like those before its first dose. The
-    `others` are the doses of other powders in it, which N tells of in one.
+    Its going is taken to be like its coming. `others` are doses of other powders in it, which N has in one sum.
     """
     changing_s = 2.0 * (loaded.time_s - bare.time_s)
     weighed_mg = math.sqrt(2.0) * math.hypot(bare.uncertainty_mg, loaded.uncertainty_mg)
@@ -326,7 +318,7 @@ def later_mg(bare: Gross, loaded: Gross, others: Iterable[Net], readability_mg: 
 
 @dataclass(frozen=True, slots=True)
 class Closed:
-    """A bracket after its container has gone: the doses adjusted, and whether they may be believed."""
+    """A bracket after its container has gone: the combined doses, and whether to believe them."""
 
     doses: tuple[Net, ...]
     net: Net
@@ -338,11 +330,11 @@ class Closed:
     allowance_mg: float
     """How far they may be apart."""
     stepped_mg: float
-    """By how much the bare pan's reading has moved, less the drift; 0 where a sound zero walks as far."""
+    """By how much the bare pan's reading has moved, less the drift; 0 where a sound zero wanders as far."""
 
     @property
     def closes(self) -> bool:
-        """A zero that has stepped may have done so at any moment, and twice: D and N then agree by chance."""
+        """Whether D and N agree and the zero has not stepped: it may have done so twice, and they agree by chance."""
         return abs(self.difference_mg) <= self.allowance_mg and self.stepped_mg == 0.0
 
 
@@ -356,11 +348,10 @@ def close(
     bare_after: Gross,
     readability_mg: float,
 ) -> Closed:
-    """Hold the doses into a container against what it has gained by the bare pan.
+    """Combine the doses into a container with what it has gained by the bare pan.
 
-    `drifted` is what was taken out of each dose as the drift's, `drift` the one seen about them. Where results differ
-    by more than one standard deviation, the adjusted uncertainties grow by as much (the Birge ratio: Phys. Rev. 40,
-    207, 1932).
+    `drifted` is what was subtracted from each dose for drift, `drift` what was seen about them. Where results differ by
+    more than one standard deviation, uncertainties grow by as much (the Birge ratio: Phys. Rev. 40, 207, 1932).
     """
     weighings = (bare_before, loaded_before, loaded_after, bare_after)
     changing_s = (loaded_before.time_s - bare_before.time_s) + (bare_after.time_s - loaded_after.time_s)
@@ -393,6 +384,6 @@ def close(
 
 
 def _unshown_mg(drifted_mg: float, zero_mg: float) -> float:
-    """What was taken out of doses as a drift's and has not moved the bare pan: it came and went with the container."""
+    """What was subtracted for drift and has not moved the bare pan: it came and went with the container."""
     shown_mg = min(max(zero_mg, min(drifted_mg, 0.0)), max(drifted_mg, 0.0))
     return drifted_mg - shown_mg

@@ -1,19 +1,19 @@
-"""What a balance is, by what it shows, and what can be told with it.
+"""The delay and repeatability of a balance, and what its display shows of its own faults.
 
-Its delay, whatever its filter: where the load steps from m0 to m1 at t0, and r is read,
+**Delay**, whatever the filter: where the load steps from m0 to m1 at t0, and r is read,
 
-    T = 1 / (m1 - m0)  integral of (m1 - r) dt,     from t0 until r has come to m1:
+    T = 1 / (m1 - m0)  integral of (m1 - r) dt,     from t0 until r has come to m1
 
 n equal poles of tau have n tau, a mean over L has L/2, a dead time counts whole. While powder flows at a rate q, T q of
-it is not shown yet: that is what a dose may overshoot by.
+it is not shown yet, and a dose may overshoot by that.
 
-Its repeatability s [mg] is the standard deviation of weighings of one weight, taken off and put on again. It limits
-small masses: what is weighed to a share R of itself, with k = 2, weighs at least
+**Repeatability** s [mg]: the standard deviation of weighings of one weight, taken off and put on again. The least mass
+that can be weighed to a share R of itself is
 
-    m = k s / R           (EURAMET cg-18, appendix G)
+    m = k s / R           (EURAMET cg-18, appendix G), k = 2
 
-USP 41 has R = 0.10 % (m = 2000 s), and s no less than 0.41 digits. A dose asks for its own R = T/m, tolerance by mass:
-then the mass drops out, and the tolerance is to be at least k s, with a margin for days that are worse than that one.
+USP 41 has R = 0.10 % (m = 2000 s), and s no less than 0.41 digits. A dose has its own R, tolerance by mass. Then the
+mass drops out: the tolerance is to be at least k s, with a margin for worse days.
 """
 
 import statistics
@@ -24,28 +24,27 @@ from typing import NamedTuple
 from scuhand_bt.dosing.verdict import COVERAGE
 
 LONGEST_DELAY_S = 6.2
-"""Of a balance that the controllers can dose with: slower ones show too late what a valve has let out. Filters of 6 s,
-and a reading or two more; the bank of the controller knows delays to 8 s."""
+"""Longest delay of a balance that the controllers can dose with: filters of 6 s, and a reading or two more. The bank
+knows delays to 8 s."""
 USP_SHARE = 0.001
 USP_LEAST_DIGITS = 0.41
 MARGIN = 2.0
-"""cg-18 has a safety factor of two or more, for a repeatability that was measured once, on a quiet day."""
+"""Safety factor of two or more by cg-18, for a repeatability measured once, on a quiet day."""
 LAST_MG = 3.0
-"""The last of a step: a filter that adapts to how much changes takes it for a little thing, and its time over it."""
+"""The last part of a step, which a filter that adapts treats as a small change, and slowly."""
 STEP_SHARE = 0.01
 """A step has come when more than this share of it is shown."""
 
 HELD_READINGS, HELD_DIGITS = 8, 5
-"""A display that shows the same so often, and in the next reading more than so many digits more or less, held it."""
+"""A display that shows the same for HELD_READINGS, and then jumps by more than HELD_DIGITS, held its value."""
 
 STILL_TAIL, STILL_FOLDS, STILL_KNOWN = 10, 16.0, 200
-"""A display is frozen that shows the same for longer than its noise ever makes it. How often noise makes a run of equal
-readings falls off with its length, by a factor of e in about what the longest ten exceed the tenth by, in the mean:
-sixteen such factors do not come. What averages over seconds stands still for long, and is given as much longer.
-"""
+"""A display is frozen if it shows the same for longer than its noise ever makes it. Runs of equal readings get rarer
+with their length, by a factor of e per fold; the fold is the mean excess of the longest ten over the tenth. STILL_FOLDS
+such factors do not come by chance. A balance that averages over seconds has long runs, and so long folds."""
 STILL_BEFORE, STILL_READINGS = 4, 50
-"""So many runs of so many readings or more that are as far beyond what is shorter were no noise either, unless they are
-most of what was seen of the pan at rest: the digits of such a balance are coarser than its noise."""
+"""Up to STILL_BEFORE runs of STILL_READINGS or more, as far beyond shorter ones, were not noise either. Except that
+they are most of what was seen of the pan at rest: then the digits are coarser than the noise."""
 
 Curve = Sequence[tuple[float, float]]
 """Readings: times [s], growing, and masses [mg]."""
@@ -57,11 +56,11 @@ class Step(NamedTuple):
     step_mg: float
     """Negative where the load was taken away."""
     times_s: tuple[float, ...]
-    """Of N readings: so long after the step came, growing."""
+    """Of N readings: time after the step came, growing."""
     missing: tuple[float, ...]
-    """(N,) so large a share of the step they did not show yet; negative where they showed too much."""
+    """(N,): the share of the step not shown yet; negative where too much is shown."""
     uncertainty_mg: float = 0.0
-    """Standard uncertainty of the weighing that it came to rest at."""
+    """Standard uncertainty of the weighing at which it came to rest."""
 
     @property
     def delay_s(self) -> float:
@@ -71,14 +70,14 @@ class Step(NamedTuple):
 
     @property
     def last_s(self) -> float:
-        """T of the last `LAST_MG` of the step, from the last reading that missed more than that."""
+        """T of the step's last `LAST_MG`, from the last reading that missed more than that."""
         last = LAST_MG / self.step_mg
         points = [(time_s, min(share, last)) for time_s, share in self._shown_last]
         return sum((a + b) / 2.0 * (to_s - from_s) for (from_s, a), (to_s, b) in pairwise(points)) / last
 
     @property
     def last_uncertainty_s(self) -> float:
-        """Standard uncertainty of `last_s`: the longer it was looked at, the more an error of the weighing makes."""
+        """Standard uncertainty of `last_s`, which grows with the time looked at."""
         times_s = [time_s for time_s, _ in self._shown_last]
         return (times_s[-1] - times_s[0]) * self.uncertainty_mg / LAST_MG
 
@@ -91,10 +90,10 @@ class Step(NamedTuple):
 
 
 def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) -> Step | None:
-    """The step between two settled weighings; None where the curve does not show it from its beginning.
+    """The step between two settled weighings; None where the curve does not show its beginning.
 
-    The step came at `latest_s`, unless more than `STEP_SHARE` of it was shown earlier: then with the last reading that
-    showed less. A false line among the readings does no harm.
+    The step came at `latest_s`, unless more than `STEP_SHARE` of it was shown earlier; then with the last reading that
+    showed less. A single false reading does no harm.
     """
     step_mg = after_mg - before_mg
     fives = zip(*(curve[first:] for first in range(5)), strict=False) if step_mg else ()
@@ -108,9 +107,9 @@ def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) ->
 
 
 def _true_mg(first_mg: float, last_mg: float, now_mg: float, next_mg: float, later_mg: float) -> float:
-    """The reading of now, no farther beyond those beside it than these are apart from theirs: a false line is.
+    """The present reading, cut off where it is farther from its neighbours than these are from theirs.
 
-    A peak of a filter that rings is not, which a median of three would flatten.
+    A false line is that, and a peak of a ringing filter is not; a median of three would flatten that.
     """
     farther_mg = min(abs(last_mg - first_mg), abs(later_mg - next_mg))
     low_mg, high_mg = sorted((last_mg, next_mg))
@@ -118,10 +117,10 @@ def _true_mg(first_mg: float, last_mg: float, now_mg: float, next_mg: float, lat
 
 
 def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
-    """The most that a display has held back: it stood still, to the digit, and then jumped; 0 for one that follows.
+    """The largest jump [mg] of a display that stood still, to the digit, before it; 0 for one that follows.
 
-    What it holds back at the end nobody sees. A filter of a tenth of a second or more makes a ramp of whatever falls:
-    the jump is what goes beyond the next change, which a flow that begins makes as well, and a motor's noise.
+    What is held back at the end cannot be seen. A filter of a tenth of a second or more makes a ramp of whatever falls.
+    So the jump is what exceeds the next change, as a flow that begins, and a motor's noise, make changes too.
     """
     digits = [round(mg / readability_mg) for mg in readings_mg]
     changes = [now - last for last, now in pairwise(digits)]
@@ -135,20 +134,20 @@ def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
 
 
 def is_frozen(readings_mg: Sequence[float], readability_mg: float) -> bool:
-    """Whether a display has been showing the same, to the digit, for longer than its own noise allows.
+    """Whether a display has shown the same, to the digit, for longer than its own noise allows.
 
-    A balance that is as quiet as that at other times, or was seen for a short while only, is not told by this. When it
-    stood still so before, a few times, that was not its noise either; one that does whenever nothing falls is so quiet.
+    A balance that is as quiet at other times, or was seen only briefly, does not count as frozen. If it stood still
+    like this a few times before, that was not noise either; unless it does so whenever nothing falls.
     """
     newest = groupby(round(mg / readability_mg) for mg in reversed(readings_mg))
     last = sum(1 for _, equal in islice(newest, 1) for _ in equal)
-    if last <= 1.0 + STILL_FOLDS:  # no noise makes shorter runs than single readings, nor of fewer folds than one
+    if last <= 1.0 + STILL_FOLDS:  # noise makes no runs shorter than one reading, and no folds shorter than one
         return False
     before = [(digits, sum(1 for _ in equal)) for digits, equal in newest]
     noise = sorted(run for _, run in before)
     for number in range(max(0, len(noise) - STILL_BEFORE), len(noise)):
         if noise[number] >= STILL_READINGS and _is_beyond(noise[number], noise[:number]):
-            # However long one of them was, a single one says nothing of the others.
+            # A single one, however long, tells nothing about the others.
             if sum(min(run, STILL_KNOWN) for run in noise[number:]) <= _wavered(before):
                 noise = noise[:number]
             break
@@ -156,16 +155,16 @@ def is_frozen(readings_mg: Sequence[float], readability_mg: float) -> bool:
 
 
 def _wavered(runs: Sequence[tuple[int, int]]) -> int:
-    """Readings between a step up and a step down: of runs of equal ones (digits, how many), those that noise ended.
+    """Readings in runs between a step up and a step down, of runs (digits, length): those that noise ended.
 
-    What goes one way was moved by what fell.
+    A run between two steps in the same direction was moved by falling powder.
     """
     beside = zip(runs, runs[1:], runs[2:], strict=False)
     return sum(run for (last, _), (now, run), (next_one, _) in beside if (now - last) * (next_one - now) < 0)
 
 
 def _is_beyond(run: int, noise: Sequence[int]) -> bool:
-    """Whether so many equal readings are more than runs like these, growing, let expect."""
+    """Whether a run of equal readings is longer than these runs, sorted, let expect."""
     if sum(noise) < STILL_KNOWN:
         return False
     tenth, *longest = noise[-STILL_TAIL:]
@@ -174,8 +173,7 @@ def _is_beyond(run: int, noise: Sequence[int]) -> bool:
 
 
 def noise_and_drift(curve: Curve) -> tuple[float, float]:
-    """Of a pan on which nothing changes: the standard deviation of a reading about a line [mg], the line's slope
-    [mg/s]. At least three readings."""
+    """Noise about a line [mg], and the line's slope [mg/s], of at least three readings at rest."""
     times_s, values_mg = zip(*curve, strict=True)
     slope, start_mg = statistics.linear_regression(times_s, values_mg)
     off_mg = [value_mg - start_mg - slope * time_s for time_s, value_mg in curve]
@@ -183,15 +181,15 @@ def noise_and_drift(curve: Curve) -> tuple[float, float]:
 
 
 def least_repeatability_mg(measured_mg: float | None, readability_mg: float) -> float:
-    """What a balance may be credited with: a few weighings may agree by chance, or by rounding."""
+    """The repeatability that a balance may be credited with: a few weighings may agree by chance, or by rounding."""
     return max(measured_mg or 0.0, USP_LEAST_DIGITS * readability_mg)
 
 
 def usp_minimum_weight_mg(repeatability_mg: float) -> float:
-    """The least mass that this repeatability tells to 0.10 %."""
+    """The least mass that this repeatability can weigh to 0.10 %."""
     return COVERAGE * repeatability_mg / USP_SHARE
 
 
 def least_tolerance_mg(repeatability_mg: float) -> float:
-    """The narrowest tolerance that this repeatability tells."""
+    """The narrowest tolerance that this repeatability allows."""
     return MARGIN * COVERAGE * repeatability_mg

@@ -17,7 +17,7 @@ from scuhand_bt.specs import Mortar
 
 @dataclass(frozen=True, slots=True)
 class Cone:
-    """The cone at one rim diameter. ValueError unless 0 < diameter < twice the sheet's radius."""
+    """The cone at one rim diameter. Raises ValueError unless 0 < diameter < twice the sheet's radius."""
 
     diameter_mm: float
     sheet_radius_mm: float = 50.0
@@ -31,12 +31,12 @@ class Cone:
 
     @classmethod
     def from_overlap(cls, overlap_deg: float, sheet_radius_mm: float = 50.0) -> "Cone":
-        """The cone that an overlap angle of the sheet makes."""
+        """The cone for an overlap angle of the sheet."""
         return cls(2.0 * sheet_radius_mm * (1.0 - overlap_deg / 360.0), sheet_radius_mm)
 
     @classmethod
     def from_roller(cls, roller_deg: float, hand: HandSpec) -> "Cone":
-        """The cone that a roller angle, counted from the flat sheet, makes."""
+        """The cone for a roller angle, counted from the flat sheet."""
         edge_mm = roller_deg / hand.roller_deg_per_mm
         return cls.from_overlap(math.degrees(edge_mm / hand.sheet_radius_mm), hand.sheet_radius_mm)
 
@@ -64,7 +64,7 @@ class Cone:
         return math.radians(self.overlap_deg) * hand.sheet_radius_mm * hand.roller_deg_per_mm
 
     def fill_height_mm(self, mass_mg: float, bulk_density_mg_per_mm3: float) -> float:
-        """How high above the apex a levelled load stands: h of V = pi tan^2(alpha) h^3 / 3."""
+        """Height of a levelled load above the apex: h of V = pi tan^2(alpha) h^3 / 3."""
         volume_mm3 = mass_mg / bulk_density_mg_per_mm3
         tangent = math.tan(math.radians(self.half_angle_deg))
         return math.cbrt(3.0 * volume_mm3 / (math.pi * tangent**2))
@@ -72,8 +72,7 @@ class Cone:
     def resting_apex_mm(self, mortar: Mortar) -> float:
         """Height of the apex above the bowl's lowest point when this cone, upright, just touches the bowl.
 
-        A wide cone rests on its rim, a narrow one on its apex (0). For a rim wider than the bore it is
-        the rim that lies on the mortar's edge.
+        A wide cone rests on its rim, a narrow one on its apex (0). A rim wider than the bore lies on the mortar's edge.
         """
         radius_mm = min(self.diameter_mm, mortar.bore_mm) / 2.0
         bowl_mm = mortar.bowl_radius_mm
@@ -82,5 +81,5 @@ class Cone:
 
 
 def edge_travel_mm(from_diameter_mm: float, to_diameter_mm: float) -> float:
-    """How far the sheet's edge runs along the rim between two sizes: the change of the circumference."""
+    """Travel of the sheet's edge along the rim between two sizes: the change of the circumference."""
     return math.pi * abs(from_diameter_mm - to_diameter_mm)

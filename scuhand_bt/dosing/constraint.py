@@ -1,18 +1,15 @@
-"""How wide the valve may be, and when it must shut: one chance constraint for every opening.
+"""How wide the valve may open: one chance constraint for every opening (docs/dosing.md, The constraint).
 
-    P(mass that has left when the valve is shut > most) <= RISK        most = target + tolerance - guard
+    P(M when the valve is shut > most) <= RISK        most = target + tolerance - 2 u
 
-The mass is the bank's: a mixture of normal distributions, one for each balance that is thinkable, with what each has
-not shown yet, the spread of the flow, of the opening and of the lumps.
+M is the mass that has left, by the mixture of all filters of the bank. The mean flow goes on until the valve has
+answered the next reading and is shut. What the flow q exceeds its mean by stays unseen for the balance's delay T, which
+adds (`filters.widest`), times `erratic`,
 
-How wide: for the mean flow until the valve can answer the next reading and is shut; and, as what the flow is more than
-that stays unseen for the balance's delay T, for its spread over T:
+    [sigma_q^2 + off^2 + (UNSEEN_ERROR q)^2] T^2 + walk^2 T^3 + 2 m q T        [mg^2]
 
-    (sigma_q^2 + walk^2 + off^2 + (UNSEEN_ERROR q)^2) T^2 + 2 m q T          [mg^2], with the lumps' mean mass m [mg]
-
-or, where that is less harmful, for its spread until it has reached the aim, at which it is shut by reckoning.
-
-When to shut: for the next reading's time.
+with the exponent's error off, the walk of k per root second, and the lumps' mean mass m [mg]. If it is less harmful, T
+is replaced by the time until the expected mass is the aim, as the valve then shuts by dead reckoning.
 """
 
 from functools import lru_cache
@@ -25,20 +22,20 @@ from scuhand_bt.dosing.identification import Array
 from scuhand_bt.dosing.valve import FlowShape
 
 RISK = 0.005
-"""The greatest probability of too much, of every opening at every reading."""
+"""Probability of too much that is allowed at every reading of every opening."""
 UNSEEN_ERROR = 0.2
-"""No balance is just its model: what a flow's unseen part is off by, relative to it."""
+"""Error of the balance's model, as a share of a flow's unseen part: no balance is exactly its model."""
 CHOICES = 40
 """Openings that are compared, from the narrowest that lets powder through to the widest."""
 NARROWEST_MM = 0.05
-"""Above the threshold: nothing is opened by less."""
+"""Narrowest opening above the threshold."""
 
 
 @lru_cache(maxsize=64)
 def _choices(
     shape: FlowShape, narrowest_mm: float, widest_mm: float, answered_s: float, speed_mm_per_s: float
 ) -> Array:
-    """(`CHOICES`, 6) as `filters.widest` has them."""
+    """The (`CHOICES`, 6) array that `filters.widest` takes."""
     gaps_mm = np.geomspace(narrowest_mm, widest_mm, CHOICES)
     phi = gaps_mm**shape.exponent
     slope = shape.exponent * phi / gaps_mm
@@ -60,13 +57,13 @@ def widest_mm(
 ) -> float:
     """The widest opening [mm] that the constraint allows; the narrowest where it allows none.
 
-    `answered_s` passes between a reading and the valve's first move for it. `reference` [mg s^-1 mm^-n] is k where
-    nothing is in the powder's way. `known_gap_mm` is the opening above the threshold that the flow was seen at: what
-    the powder's exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
+    `answered_s` passes from a reading until the valve first moves for the next. `reference` is k_ref [mg s^-1 mm^-n].
+    `known_gap_mm` is the opening above the threshold at which the flow was seen: the farther from it, the more the
+    exponent's error counts. `narrowest_mm` is above the threshold, too.
     """
     widest = max(max_opening_mm - shape.threshold_mm, narrowest_mm)
     choices = _choices(shape, narrowest_mm, widest, answered_s, speed_mm_per_s)
     errors = EXPONENT_ERROR, UNSEEN_ERROR, K_WALK_PER_S * reference
     number = filters.widest(bank.held, choices, aim_mg, most_mg, known_gap_mm, RISK, *errors)
     opening_mm = shape.threshold_mm + float(choices[number, 0])
-    return min(opening_mm, max_opening_mm)  # which the narrowest may be beyond
+    return min(opening_mm, max_opening_mm)  # the narrowest may be beyond that

@@ -1,6 +1,6 @@
 """The one interface of all dosing controllers: measurements in, the next valve command out.
 
-A controller is pure: it owns no device and reads no clock. `skills/dispense.py` asks it for a command,
+A controller is pure: it owns no device and reads no clock. `scuhand_bt/cell/dose_loop.py` asks it for a command,
 carries that out on the hand and the balance, and tells it what was measured:
 
     command = controller.decide(None)              # the first command
@@ -8,7 +8,7 @@ carries that out on the hand and the balance, and tells it what was measured:
         ... carry it out ...
         command = controller.decide(observation)   # and so on
 
-A controller lives for one dose; `Finish` is its last word.
+A controller lives for one dose and ends it with `Finish`.
 """
 
 import math
@@ -19,17 +19,17 @@ from scuhand_bt.dosing.verdict import acceptance_mg
 from scuhand_bt.specs import BalanceBelief, Departure, PowderBelief
 
 LONGEST_UNWEIGHED_S = 30.0
-"""So long a controller may go without a stable mean: what the zero does meanwhile nobody sees."""
+"""The longest that a controller may go without a stable mean, as nobody sees what the zero does meanwhile."""
 
 
 def silence_s(period_s: float) -> float:
-    """How long the balance may be silent while the valve is open."""
+    """How long the balance may be silent while the valve is open [s]."""
     return max(0.3, 3.0 * period_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """Open to `opening_mm`, hold `dwell_s` (counted from the opening being reached), close, then settle."""
+    """Open to `opening_mm`, hold for `dwell_s` (counted from when the opening is reached), close, then settle."""
 
     opening_mm: float
     dwell_s: float
@@ -40,12 +40,12 @@ class Pulse:
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Go to this opening and vibration now and hold them until the next reading."""
+    """Go to this opening and vibration now, and hold them until the next reading."""
 
     opening_mm: float
     vibration: float = 0.0
     hold_s: float = math.inf
-    """So long at most: then the valve shuts, though no reading has come yet."""
+    """The valve shuts after this time even if no reading has come yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Weigh:
     """Close the valve, stop vibrating and wait for a stable mean."""
 
     wait_s: float = 0.0
-    """A fixed wait before the balance is asked: until it can have noticed what fell last."""
+    """A fixed wait before the balance is asked, until it can have noticed what fell last."""
 
 
 Reason = Literal["reached", "overshoot", "empty", "rest", "no_flow", "step_limit"]
@@ -61,29 +61,29 @@ Reason = Literal["reached", "overshoot", "empty", "rest", "no_flow", "step_limit
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """A stable mean that contradicts what readings led to expect: what was believed of the balance holds no more."""
+    """A stable mean far from what the readings predicted; the belief about the balance no longer holds."""
 
     difference_mg: float
-    """The mean less what was expected."""
+    """The mean less what was predicted."""
     allowed_mg: float
-    """By how much they may differ."""
+    """How far they may differ."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """The dose is over. `empty` and `rest` ask for another scoop: the cone gave no more, or gives it only shaken."""
+    """The dose is over. `empty` and `rest` ask for another scoop: the cone gives no more, or only shaken."""
 
     reason: Reason
     estimate_mg: float
     uncertainty_mg: float
     powder: PowderBelief | None = None
-    """What the controller now believes of the powder, where it learns."""
+    """The belief about the powder, from a controller that learns."""
     balance: BalanceBelief | None = None
-    """What it now believes of the balance, where it learns."""
+    """The belief about the balance, from a controller that learns."""
     doubt: Doubt | None = None
-    """The first one of this dose."""
+    """The first doubt of this dose."""
     shaken_mg: float | None = None
-    """What came only shaken, after the last that came by itself; None where nothing did, or nobody watched."""
+    """What came only shaken, after powder last came unshaken; None if it never did, or this is not watched."""
 
 
 Command = Pulse | Stream | Weigh | Finish
@@ -91,7 +91,7 @@ Command = Pulse | Stream | Weigh | Finish
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What is known after a command: `net_mg` is what the container has got of this lot, earlier doses included."""
+    """What is known after a command; `net_mg` is what the container has got of this lot, earlier doses included."""
 
     time_s: float
     net_mg: float
@@ -99,12 +99,12 @@ class Observation:
     stable: bool
     """True for a stable mean (after Pulse and Weigh), False for a single reading (after Stream)."""
     opening_mm: float = 0.0
-    """The opening the hand reports at that time."""
+    """The opening that the hand reports at that time."""
 
 
 @dataclass(frozen=True, slots=True)
 class DoseRequest:
-    """What a controller is built from: the goal, the hand's valve, and what is believed of the powder."""
+    """What a controller is built from: the goal, the hand's valve, and the beliefs about powder and balance."""
 
     target_mg: float
     tolerance_mg: float
@@ -116,37 +116,38 @@ class DoseRequest:
     cone_mg: float
     """What the cone is believed to hold."""
     cone_doubt_mg: float = 750.0
-    """How far that belief may be off: scoops vary."""
+    """How far that belief may be off, as scoops vary."""
     came_mg: float = 0.0
-    """What has come of the cone's load before."""
+    """What has come of the cone's load before this dose."""
     may_scoop_again: bool = False
-    """What is missing may be dosed out of a fresh load."""
+    """Whether what is missing may come out of a fresh load."""
     uncertainty_mg: float = 0.1
-    """The standard uncertainty to be expected of the net mass that is judged in the end."""
+    """The expected standard uncertainty of the net mass that is judged in the end."""
     wait_s: float = 0.0
-    """A fixed wait of stepwise controllers after each pulse, on top of the balance's settling."""
+    """A fixed wait of stepwise controllers after each pulse, besides the balance's settling."""
     departures: tuple[Departure, ...] = tuple(Departure)
-    """From the paper's listing; none of them is Algorithm 1 as printed."""
+    """Departures from the paper's listing; without any it is Algorithm 1 as printed."""
     streaming: bool = True
     valve_dead_time_s: float = 0.06
     balance_period_s: float = 0.1
     step_limit: int = 100
-    """The most pulses a stepwise controller may take (paper: 100)."""
+    """The most pulses of a stepwise controller (paper: 100)."""
     free_flow: float = 0.0
-    """As strongly as powder of its density flows where nothing holds it back, C' [mg s^-1 mm^-2.5]; 0 for unknown."""
+    """Flow of powder of its density that nothing holds back, C' [mg s^-1 mm^-2.5]; 0 if unknown."""
     powder: PowderBelief = field(default_factory=PowderBelief)
     balance: BalanceBelief = field(default_factory=BalanceBelief)
 
     def given_up(self, dispensed_mg: float) -> Literal["empty", "no_flow"]:
-        """Why no powder comes: the cone is (all but) empty, or it holds powder that does not flow."""
+        """Why no powder comes: the cone is all but empty, or holds powder that does not flow."""
         return "empty" if self.cone_mg - dispensed_mg < self.cone_doubt_mg else "no_flow"
 
 
 def stopped(request: DoseRequest, seen: Observation, steps: int, dry: bool, dispensed_mg: float) -> Finish | None:
-    """The paper's stopping rules, for controllers that go step by step; None while there is more to dose.
+    """The paper's stopping rules, for stepwise controllers; None while there is more to dose.
 
-    |error| < tolerance (strictly), less the guard band of `verdict`, ends it; so do what the listing leaves out: too
-    much, a cone that gives nothing, and the step limit. `dispensed_mg` is what this dose has taken from the cone.
+    A dose ends when |error| < tolerance (strictly), less the guard band of `verdict`. Departures from the listing end
+    it on an overshoot, and on a cone that gives nothing. The step limit always does.
+    `dispensed_mg` is what this dose has taken from the cone.
     """
     error_mg, departures = request.target_mg - seen.net_mg, request.departures
     uncertainty_mg = seen.uncertainty_mg if Departure.GUARD in departures else 0.0
@@ -165,16 +166,16 @@ def stopped(request: DoseRequest, seen: Observation, steps: int, dry: bool, disp
 
 
 class Controller(Protocol):
-    """Decides the next valve command from what has been measured."""
+    """Decides the next valve command by what has been measured."""
 
     @property
     def name(self) -> str: ...
 
     @property
     def estimate_mg(self) -> float:
-        """The net mass it takes to have left the nozzle by now."""
+        """The estimated net mass that has left the nozzle."""
         ...
 
     def decide(self, seen: Observation | None) -> Command:
-        """The next command; `seen` is None at the start, else what the last command led to."""
+        """The next command. `seen` is None at the start, else the result of the last command."""
         ...

@@ -15,7 +15,7 @@ KP_PER_MG = 3.9e-4
 KI_PER_MG = 1.63e-4
 KD_PER_MG = 7.3e-3
 KEPT = 0.905
-"""What the sum keeps of itself from one step to the next."""
+"""Share of the sum that is kept from one step to the next."""
 NARROWEST_MM = 0.165
 SHORTEST_DWELL_S = 0.10
 LONGEST_DWELL_S = 0.53

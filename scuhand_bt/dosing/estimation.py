@@ -1,16 +1,14 @@
-"""What has left the nozzle, how fast powder flows, and what the balance is, from readings that lag behind.
+"""What has left the nozzle, the flow, and the balance, by readings that lag behind (docs/dosing.md, The bank).
 
-A bank of Kalman filters (multiple-model estimation: Magill, IEEE Trans. Autom. Control 10, 1965), one for each model of
-the balance that is still thinkable, all of which see the same readings:
+A bank of Kalman filters (multiple-model estimation: Magill, IEEE Trans. Autom. Control 10, 1965), one per plausible
+balance, sees the same readings:
 
     y'' = w^2 (M - y) - 2 z w y'          M' = k phi(D) + g phi'(D)          reading(t) = y(t - d) + noise
 
-M [mg] is what has left the nozzle: while powder lands steadily its momentum weighs as much as what is in flight (the
-hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/3, 2010), so the pan reads what has left. k [mg s^-1 mm^-n]
-is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`), and g = k e, with e [mm] what the real opening
-is off by. w, z and d are the balance's: natural frequency, damping and pure delay. Each filter runs d behind, and what
-the valve let out since is added with its own uncertainty; between two readings phi is taken at its mean, for which
-the transition is exact. A model's weight is how likely it makes the readings.
+The symbols are those of docs/dosing.md. M [mg] is what has left the nozzle: while powder lands steadily, its momentum
+weighs as much as what is in flight (the hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/3, 2010). Each
+filter runs its dead time d behind; what the valve has let out since is added as a prediction. Between two readings phi
+is taken at its mean, for which the transition is exact. A filter's weight is its likelihood.
 """
 
 import math
@@ -25,48 +23,48 @@ from scuhand_bt.dosing.identification import LEAST_DOUBT, MASS, READING, SHAPES,
 from scuhand_bt.specs import BalanceBelief
 
 DELAYS_S = tuple(float(delay_s) for delay_s in np.geomspace(0.1, 8.0, 14))
-"""Mean delays that a balance nothing is known of may have."""
+"""Mean delays of an unknown balance's filters."""
 NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
-"""Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
+"""Delays of a known balance's filters, in standard deviations of their logarithm."""
 SAME_SHAPE = 0.98
-"""Probability that the kind of filter was identified rightly."""
+"""Probability that the balance's shape was identified rightly."""
 CHANGED, SET_SLOWER = 0.01, 1.5
-"""Probability that the balance has been set slower than in the opening before; by this factor at least."""
+"""Probability that the balance was set slower since the last opening, by SET_SLOWER at least."""
 K_WALK_PER_S = 0.2
-"""Relative random walk of k, per square root of a second."""
+"""Random walk of k, relative to k_ref, per root second."""
 BRIDGES_PER_S = 2.0
-"""How often a bridge may form or break: where k is below its reference, it may return to it at any moment."""
+"""Rate at which bridges may break: below its reference, k may return to it at any moment."""
 OPENING_ERROR_MM, UNKNOWN_ERROR_MM = 0.05, 0.15
-"""Standard deviation of what the real opening is off by: the sheet buckles a little differently each time. At
-first the threshold is a guess as well."""
+"""Standard deviation of the real opening from the commanded one, as the sheet buckles a little differently each time.
+The second includes the threshold, as long as that is a guess."""
 UNSTEADY_S = 0.05
-"""While the flow changes, what lands weighs otherwise than what is in flight: so many seconds of the change."""
+"""While the flow changes, what lands weighs otherwise than what is in flight: by so many seconds of the change."""
 LEAST_MISFIT = 0.01
-"""No balance is just its model: the share of what is unseen that every model is taken to be off by, at least."""
+"""Least error of the balance's model, as a share of what is unseen."""
 UNEVEN = 0.1
-"""How unevenly powder flows: the relative standard deviation of what comes in a second."""
+"""Unevenness of the flow: relative standard deviation of what comes in a second."""
 TEMPER = 0.2
-"""What a reading tells of the balance, as a share of what it would if errors were independent of each other."""
+"""What a reading tells about the balance, as a share of what it would if errors were independent."""
 CHANGE_S = (0.3, 3.0)
-"""A steady flow tells nothing of the balance: means of phi over these times must differ."""
+"""The means of phi over these times must differ: a steady flow tells nothing about a delay."""
 FREELY = 0.5
-"""Powder that flows with less than this share of what was expected may be held up: bridged, or not primed."""
+"""Powder that flows with less than this share of what is expected may be held up: bridged, or not primed."""
 HELD_UP = 0.1
-"""Share of its reference that lumps may come by at any moment, however little flows."""
+"""Least flow that lumps are reckoned with, as a share of the reference."""
 LEAST_SPREAD = 0.5
-"""Of k, relative to its reference: how unsure it can become while powder flows, at least."""
+"""Least standard deviation that k may reach while powder flows, relative to its reference."""
 EXPONENT_ERROR = 0.5
-"""What a powder's exponent may be off by: k holds the less, the more the opening has changed."""
+"""Error of the powder's exponent: k is less certain the more the opening has changed."""
 SURGE_GAIN, LEAST_SURGE_MG, MOST_SURGE_MG = 0.03, 0.01, 12.0
-"""How fast the lumps' mean mass follows the innovations while powder flows; and its bounds."""
+"""Gain at which the lumps' mean mass follows the innovations while powder flows, and its bounds."""
 FLOWING_MG = 0.01
-"""Less than this between two readings says nothing of lumps."""
+"""Less than this between two readings tells nothing about lumps."""
 AS_EXPECTED, SURPRISING = 0.9, 4.0
-"""A squared innovation, in variances, that leaves it as it is; and from where on it counts no more."""
+"""A squared innovation, in variances, that leaves the lumps' mass unchanged; and the most that one counts."""
 FARTHEST = 5.0
-"""An innovation of more standard deviations tells no more: one lump or one knock rules out no model."""
+"""An innovation counts for this many standard deviations at most, so that one lump or knock rules out no model."""
 UNKNOWN_SPREAD = 1.5
-"""Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
+"""Relative standard deviation of the flow of a powder never dosed: it may be five times what is believed."""
 
 
 class Model(NamedTuple):
@@ -77,27 +75,27 @@ class Model(NamedTuple):
 
 
 class Bank:
-    """The filters side by side, H of them: weights (H,), states (H, 5), covariances (H, 5, 5)."""
+    """H filters side by side: weights (H,), states (H, 5), covariances (H, 5, 5)."""
 
     def __init__(self, models: Sequence[Model], weights: Array, surge_mg: float, misfit: float) -> None:
         """`weights` (H,) need not add up to 1."""
         self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
-        """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
+        """Mean mass of lumps; error of the models as a share of what is unseen."""
         self.weights = weights / weights.sum()
         self.delays_s = np.array([model.delay_s for model in models])
         self.pure, self._damping = np.array([SHAPES[model.shape] for model in models]).T
         self._transitions: dict[float, tuple[Array, Array]] = {}
         self.temper = TEMPER
-        """0 where how late the balance has been says nothing of how late it is when less comes."""
+        """0 where the delay so far tells nothing about that of smaller amounts (a filter that adapts)."""
         self.erratic = 1.0
-        """By what factor the variances of what is coming have turned out to be too small."""
+        """Factor by which the variances of predictions have proven too small."""
         self.restart(0.0, 1.0, 1.0, 1.0)
 
     @classmethod
     def believing(cls, balance: BalanceBelief, surge_mg: float) -> "Bank":
-        """Near what is believed of the balance; and, as it may have been set slower, a little of longer delays.
+        """The bank of a balance as believed, with a little weight on longer delays: it may have been set slower.
 
-        That it was set faster is never assumed: so it looks when a sheet that stuck lets out more than was expected.
+        A balance set faster is never assumed: a sheet that has stuck and lets out more than expected looks the same.
         """
         shape, doubt = balance.shape if balance.fits else None, max(balance.doubt, LEAST_DOUBT)
         return cls(*_thinkable(balance.lag_s, doubt, shape, SAME_SHAPE), surge_mg, balance.misfit)
@@ -105,9 +103,10 @@ class Bank:
     def restart(
         self, mass_mg: float, sd_mg: float, coefficient: float, spread: float, error_mm: float = OPENING_ERROR_MM
     ) -> None:
-        """A balance at rest, valve shut: the mass is known to `sd_mg`, k is what a new opening may be expected to show.
+        """Restart from a balance at rest with the valve shut: the mass is known to `sd_mg`.
 
-        `spread` is k's standard deviation relative to `coefficient`, `error_mm` the opening's. The weights stay.
+        k is what a new opening may show, with `spread` its standard deviation relative to `coefficient`; `error_mm` is
+        that of the opening. The weights stay.
         """
         x, p = np.zeros(5), np.zeros((5, 5))
         x[[READING, MASS]], x[K] = mass_mg, coefficient
@@ -116,10 +115,11 @@ class Bank:
         p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
         many = len(self.weights)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
-        self._phi, self._seen = np.zeros(many), np.zeros(many, np.int64)  # of what each saw last, as `take_in` has it
+        # of the last row each has seen, as `take_in` has it
+        self._phi, self._seen = np.zeros(many), np.zeros(many, np.int64)
         self._unseen = np.zeros((many, 2))  # integrals of phi and of its slope
         self._means = [0.0, 0.0]
-        self._passed = np.zeros((1, 3))  # the time of each reading, and both integrals until then
+        self._passed = np.zeros((1, 3))  # per reading: its time, and both integrals until then
         self._tell()
 
     def _over(self, dt_s: float) -> tuple[Array, Array]:
@@ -130,15 +130,15 @@ class Bank:
 
     @property
     def held(self) -> filters.Filters:
-        """As compiled functions take it."""
+        """The arguments of compiled functions."""
         arrays = self._x, self._p, self._unseen, self.weights, self.delays_s
         return *arrays, self.surge_mg, self.misfit, self.erratic
 
     def update(self, row: Row, reference: float) -> float:
-        """Take in a reading; `reference` is k where nothing is in the powder's way.
+        """Take in a reading; returns the likeliest model's innovation in standard deviations. `reference` is k_ref.
 
-        Returns the likeliest model's innovation in standard deviations. ArithmeticError where what comes of it is no
-        number: compiled code says nothing of that, and no opening may go by it.
+        Raises ArithmeticError where the result is not a number: compiled code reports none, and no opening may go by
+        it.
         """
         for mean, over_s in enumerate(CHANGE_S):
             self._means[mean] += (row.phi_s / row.dt_s - self._means[mean]) * -math.expm1(-row.dt_s / over_s)
@@ -154,8 +154,8 @@ class Bank:
         score, unexplained, k, came_mg = told
         if came_mg > FLOWING_MG:
             more = min(score * score, SURPRISING) - AS_EXPECTED
-            if more > 0.0 or k > FREELY * reference:  # nor does a bridge say that there are none
-                by_powder = 1.0 - unexplained  # noise alone says nothing about lumps
+            if more > 0.0 or k > FREELY * reference:  # a bridge does not show that there are no lumps
+                by_powder = 1.0 - unexplained  # noise alone tells nothing about lumps
                 self.surge_mg *= math.exp(SURGE_GAIN * by_powder * more)
                 self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
         self._tell()
@@ -164,15 +164,15 @@ class Bank:
         return score
 
     def _tell(self) -> None:
-        """What is known after a reading: where each model is once it has seen what it has not yet, and all together."""
+        """Set what is known after a reading, by all models together and including what they have not seen yet."""
         self.mass_mg, self.delay_s, self.unseen_mg, self.coefficient, self.coefficient_sd = filters.known(self.held)
-        """What has left the nozzle; the balance's mean delay; what has left and is not read yet, with twice what that
-        may be off by; k, in mg s^-1 mm^-n, and its standard deviation."""
+        """The mass that has left; the balance's mean delay; what is not read yet, plus twice its uncertainty; k [mg
+        s^-1 mm^-n] and its standard deviation."""
 
     # --- what is known ---
 
     def over_all(self, means: Array, variances: Array) -> tuple[float, float]:
-        """Mean and standard deviation of what the models (H,) have these of, with what they differ by."""
+        """Mean and standard deviation of a mixture of models (H,) with these means and variances."""
         return filters.over_all(self.weights, means, variances)
 
     @property
@@ -184,7 +184,7 @@ class Bank:
     def coming(self, phi_s: float, slope_s: float) -> Array:
         """(2, H) means [mg] and variances [mg^2] of the mass that will have left, by model.
 
-        Until then the integrals of phi [mm^n s] and of its slope grow by this.
+        The integrals of phi [mm^n s] and of its slope grow by the arguments until then.
         """
         return filters.coming(self.held, phi_s, slope_s)
 
@@ -195,9 +195,9 @@ class Bank:
 
 @lru_cache(maxsize=16)  # as costly as five readings, and asked for at every opening
 def _thinkable(lag_s: float, doubt: float, shape: str | None, surely: float) -> tuple[Sequence[Model], Array]:
-    """The models (H) of a balance that is believed to be so, of an unknown one where it has no shape; weights (H,).
+    """The models (H) and weights (H,) of a balance believed to be so; of an unknown one if `shape` is None.
 
-    `surely` is how probably the shape is its own.
+    `surely` is the probability that the shape is right.
     """
     if shape is None:
         models = [Model(delay_s, kind) for kind in SHAPES for delay_s in DELAYS_S]

@@ -1,14 +1,14 @@
-"""The arithmetic of the bank of filters and of the constraint, compiled: for each of H models, many times a second.
+"""The compiled arithmetic of the bank and of the constraint, for H models, many times a second.
 
-What it means is told in `estimation` and `constraint`, whose constants are handed in: a compiled function would keep
-those that it was compiled with. It is compiled when this module is imported (`scuhand_bt.dosing.prepare`), which takes
-some seconds the first time and is kept from then on; never within a dose.
+`estimation` and `constraint` tell what it means. Constants are passed in, as a compiled function would keep those that
+it was compiled with. It is compiled when this module is imported (`scuhand_bt.dosing.prepare`), which takes some
+seconds the first time; never within a dose.
 
     x (H, 5), p (H, 5, 5)    states (y, y', M, k, g) and their covariances
     unseen (H, 2)            integrals of phi [mm^n s] and of its slope that a model, which runs late, has yet to see
     weights (H,)             of the models, adding up to 1
     delays_s (H,)            their mean delays
-    surge_mg, misfit, erratic    as the bank has them
+    surge_mg, misfit, erratic    as in the bank
 """
 
 import math
@@ -39,7 +39,7 @@ def coming_by(filters: Filters, h: int, phi_s: float, slope_s: float) -> tuple[f
 
 @compiled(f"f8[:,::1]({_FILTERS}, f8, f8)")
 def coming(filters: Filters, phi_s: float, slope_s: float) -> Array:
-    """(2, H) of `coming_by`."""
+    """`coming_by` for all models: (2, H)."""
     many = len(filters[0])
     both = np.empty((2, many))
     for h in range(many):
@@ -49,7 +49,7 @@ def coming(filters: Filters, phi_s: float, slope_s: float) -> Array:
 
 @compiled("f8(f8)")
 def below(deviations: float) -> float:
-    """How often what is normally distributed is less than its mean and so many standard deviations."""
+    """The standard normal distribution function."""
     return 0.5 * math.erfc(-deviations / math.sqrt(2.0))
 
 
@@ -60,19 +60,19 @@ def chance(filters: Filters, phi_s: float, slope_s: float, most_mg: float) -> fl
     for h in range(len(weights)):
         mean_mg, variance = coming_by(filters, h, phi_s, slope_s)
         of_more += weights[h] * below((mean_mg - most_mg) / math.sqrt(variance))
-    return of_more if of_more < 1.0 else 1.0  # and where it is no number: what cannot be reckoned is feared
+    return of_more if of_more < 1.0 else 1.0  # 1 also where it is not a number: what cannot be computed is feared
 
 
 @compiled("UniTuple(f8, 2)(f8[:], f8[:], f8[:])")
 def over_all(weights: Array, means: Array, variances: Array) -> tuple[float, float]:
-    """Mean and standard deviation of what models have these (H,) of, with what they differ by."""
+    """Mean and standard deviation of a mixture of models (H,)."""
     mean = (weights * means).sum()
     return mean, math.sqrt(max((weights * (variances + (means - mean) ** 2)).sum(), 0.0))
 
 
 @compiled(f"UniTuple(f8, 5)({_FILTERS})")
 def known(filters: Filters) -> tuple[float, float, float, float, float]:
-    """What has left, the mean delay, what is not read yet with twice what that may be off by; k, and its spread."""
+    """The mass that has left, the mean delay, what is not read yet plus twice its uncertainty, k and its deviation."""
     x, p, _, weights, delays_s, _, _, _ = filters
     means_mg, _ = coming(filters, 0.0, 0.0)
     behind_mg, sd_mg = over_all(weights, means_mg - x[:, READING], np.zeros(len(weights)))
@@ -92,10 +92,10 @@ def widest(
     unseen_error: float,
     walk_per_s: float,
 ) -> int:
-    """Which of (N, 6) `choices` is the last of which no more than `most_mg` is let out but for this risk; else 0.
+    """The last of (N, 6) `choices` that keeps the chance constraint; 0 if none does.
 
     A choice is the gap [mm], phi, its slope, both integrals until it is shut, and the first of these over phi [s].
-    `walk_per_s` is k's random walk, in its own unit.
+    `walk_per_s` is k's random walk in k's unit, per root second.
     """
     x, p, _, weights, delays_s, surge_mg, _, erratic = filters
     for number in range(len(choices) - 1, 0, -1):
@@ -110,7 +110,7 @@ def widest(
             variance += (off * flow * open_s) ** 2
             lasting = (off * flow) ** 2 + of_flow + (unseen_error * flow) ** 2
             lumps_mg = 2.0 * surge_mg * flow
-            # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
+            # The excess is seen after the delay; or the valve shuts before, when the expected mass reaches the aim.
             left_s = max(aim_mg - mean_mg, 0.0) / max(flow, 1e-9)
             deviations = np.inf
             for unseen_s, reached_mg in ((delays_s[h], mean_mg), (left_s, max(mean_mg, aim_mg))):
@@ -126,7 +126,7 @@ def widest(
 
 @compiled("void(f8[::1], f8[:,::1], f8[:,::1])")
 def carry(x: Array, p: Array, f: Array) -> None:
-    """A state (5,) and its covariance (5, 5) over a transition f (5, 5), but k and g, which stay: f x, f p f'."""
+    """Carry a state (5,) and its covariance (5, 5) over a transition f (5, 5), in place; k and g stay as they are."""
     y, rate, mass, k, g = x
     for i in range(K):
         x[i] = f[i, 0] * y + f[i, 1] * rate + f[i, 2] * mass + f[i, 3] * k + f[i, 4] * g
@@ -156,15 +156,17 @@ def take_in(
     assumed: tuple[float, float, float, float, float, float],
     farthest: float,
 ) -> tuple[float, float, float, float]:
-    """Take in a reading: x, p, unseen, weights, phi and seen are as they are after it.
+    """Take in a reading, in place: x, p, unseen, weights, phi and seen are as they are after it.
 
-    `still` (H, 5, 5) and `adds` (H, 5) are of `transitions`: the columns of k and g of the former become what they add
-    this time. `late` are `late_s` (H,), how late models run; `phi` (H,), what it was where each has seen to; `seen`
-    (H,), the number of that reading; and `passed` (R, 3), the time of each reading, this one the last, and both
-    integrals until then. `row` is the time since the last reading, this one, its noise, and by how much the opening was
-    changed. `most_sd` is of k, in its own unit, how unsure it can become; `tells` how much the reading tells of the
-    balance. Of the likeliest model: its innovation in standard deviations, the share of its variance that is none of
-    the powder's, k, and what has come since the last reading [mg].
+    * `still` (H, 5, 5), `adds` (H, 5): from `transitions`; the columns of k and g in `still` are filled in here.
+    * `late`: `late_s` (H,), by how much models run late; `phi` (H,), its value where each has seen to; `seen` (H,), the
+      number of that reading; `passed` (R, 3), per reading its time and both integrals until then.
+    * `row`: time since the last reading, this reading, its noise, the change of the opening (logarithm).
+    * `most_sd`: the most that k's deviation may reach, in k's unit; `tells`: how much a reading tells about the
+      balance.
+
+    Returns, of the likeliest model: its innovation in standard deviations, the share of its variance that is not the
+    powder's, k, and what has come since the last reading [mg].
     """
     x, p, unseen, weights, _, surge_mg, misfit, _ = filters
     late_s, phi, seen, passed = late
@@ -176,7 +178,7 @@ def take_in(
     innovations_mg, common = np.empty(many), 0.0
     for h in range(many):
         before, at, due_s = seen[h], last, passed[last, 0] - late_s[h]
-        # Until the reading that is nearest; of two as near the later, however their times are rounded.
+        # Up to the nearest reading; of two equally near the later one, however times are rounded.
         while at > before and passed[at, 0] + passed[at - 1, 0] > 2.0 * due_s + 1e-6:
             at -= 1
         seen[h] = at
@@ -209,7 +211,7 @@ def take_in(
             for j in range(5):
                 p[h, i, j] -= gain * with_reading[j]
         x[h, K] = max(x[h, K], 0.0)
-    # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
+    # One variance for all: a model must not gain by claiming to know more than the others.
     for h in range(many):
         square = innovations_mg[h] ** 2 / (common + noise_mg**2)
         weights[h] *= math.exp(-0.5 * tells * min(square, farthest**2))
@@ -219,9 +221,9 @@ def take_in(
 
 @compiled("f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1])")
 def shown(still: Array, adds: Array, steps: NDArray[np.intp], arrived_mg: Array) -> Array:
-    """(H, N) what models show, of which these masses (H, N) have reached the filter by so many times (N,).
+    """(H, N) what models show at N times, where the masses (H, N) have reached the filter by then.
 
-    `steps` (N,) says which of the `transitions` over S times, (S, H, 5, 5) and (S, H, 5), leads to each.
+    `steps` (N,) gives the index of each step's `transitions`, (S, H, 5, 5) and (S, H, 5).
     """
     shown_mg = np.empty_like(arrived_mg)
     for h in range(len(arrived_mg)):

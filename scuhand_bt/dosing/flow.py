@@ -29,17 +29,17 @@ class PulseModel:
     valve_speed_mm_per_s: float
 
     def mass_mg(self, opening_mm: float, dwell_s: float) -> float:
-        """What a pulse is expected to drop."""
+        """The mass that a pulse is expected to drop."""
         return self.coefficient * basis(opening_mm, dwell_s, self.valve_speed_mm_per_s)
 
 
 def basis(opening_mm: float, dwell_s: float, valve_speed_mm_per_s: float) -> float:
-    """What multiplies C' in the model: D^2.5 (T(D) + t), in mm^2.5 s."""
+    """The factor of C' in the model: D^2.5 (T(D) + t), in mm^2.5 s."""
     return float(opening_mm**EXPONENT * (opening_mm / valve_speed_mm_per_s + dwell_s))
 
 
 def fit_coefficient(bases: Sequence[float], masses_mg: Sequence[float]) -> float:
-    """C' by least squares over pulses: sum(b W) / sum(b^2). ValueError if nothing was ever opened."""
+    """C' by least squares over pulses: sum(b W) / sum(b^2). Raises ValueError if nothing was ever opened."""
     square = sum(b * b for b in bases)
     if square <= 0.0:
         raise ValueError("no pulse opened the valve: nothing to fit")
@@ -47,5 +47,5 @@ def fit_coefficient(bases: Sequence[float], masses_mg: Sequence[float]) -> float
 
 
 def free_flow(bulk_density_mg_per_mm3: float) -> float:
-    """C' of powder of this density that nothing holds back, its grains being small [mg s^-1 mm^-2.5]."""
+    """C' of fine-grained powder of this density that nothing holds back [mg s^-1 mm^-2.5]."""
     return BEVERLOO_C * bulk_density_mg_per_mm3 * math.sqrt(GRAVITY_MM_PER_S2)

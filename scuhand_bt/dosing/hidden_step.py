@@ -1,17 +1,20 @@
-"""Steps of the zero that hide behind a balance's filter: by how it was seen to come to rest, when a container came.
+"""Steps of the zero that hide behind a balance's filter (docs/weighing.md, What counts as a step).
 
-**While the pan becomes bare.** A container comes (p: the share of it that the balance misses, by time) and goes again.
-If nothing else happens, the pan comes to rest as it did then, a little earlier or later: m p(t - d). A zero that is S
-lower until t1, and then goes back, is shown by the same filter: - S p(t - t1), with p = 1 before t1. Both are fitted by
-least squares. A line that falls behind looks alike: a step must explain the curve better than one that was late from
-some reading on. A zero that stepped while the container came is told the other way round, by how it went.
+**As the pan becomes bare.** A container comes, and goes again; p is the share of it that the balance misses, by time.
+If nothing else happens, the pan comes to rest as it did before, a little earlier or later: m p(t - d). A zero that is S
+lower until t1, and then goes back, shows through the same filter: - S p(t - t1), with p = 1 before t1. Both are fitted
+by least squares. A line of readings that falls behind looks similar: a step must explain the curve better than one that
+was late from some reading on. A zero that stepped while the container came is found the same way, with the two
+exchanged.
 
-**While powder falls.** Readings that fall are the zero's, as no powder leaves the pan, unless the filter rings, or a
-strong flow ends: what lands pushes as well, by its rate times the time t_f of its fall, and a balance that is quick, or
-late but sharp, shows that this has gone. What can have come, with each reading no less than nothing, is fitted through
-that filter: sum of m_j (1 + t d/dt) (1 - p(t - t_j)), m_j >= 0, with t = t_f and as much more as lies between two
-readings, within which all may have landed at once. Whatever pushes less is such a sum, too. What falls beside the fit
-is the zero's.
+**As powder falls.** No powder leaves the pan, so falling readings are the zero's. There are two exceptions: a filter
+that rings, and the end of a strong flow, whose impact (its rate times its fall time t_f) is gone. So what can have
+come, with no mass negative, is fitted through the filter:
+
+    sum of m_j (1 + t d/dt) (1 - p(t - t_j)),    m_j >= 0
+
+with t = t_f and as much more as lies between two readings, within which all may have landed at once. A weaker impact is
+such a sum, too. What falls beside the fit is the zero's.
 """
 
 from collections.abc import Sequence
@@ -28,32 +31,32 @@ from scuhand_bt.dosing.identification import LEAST_APART_S
 Floats: TypeAlias = NDArray[np.float64]
 
 EARLIER_S = np.arange(-0.3, 0.305, 0.01)
-"""By how much a load may come earlier or later than it was taken to: d."""
+"""How much earlier or later a load may come than assumed: d."""
 FINER_S = np.arange(-0.008, 0.01, 0.002)
-"""And as much more about the best of these: a curve that is steep as the fit begins is off by milligrams in 5 ms."""
+"""Finer steps about the best of these: where the fit begins, a steep curve is off by milligrams in 5 ms."""
 TAIL_MG = 100.0
-"""So much of the load is still shown where the fit begins."""
+"""The fit begins where this much of the load is still to be shown."""
 BEND_SHARE = 0.25
-"""Of a curve's second differences: how far it may be off between readings (a parabola by an eighth)."""
+"""Error of a curve between readings, as a share of its second differences (of a parabola, an eighth)."""
 CLEARER = 30.0
-"""A step that explains so many times the variance that stays is one; tried on the filters of its tests, not derived."""
+"""A step must explain this many times the variance that remains; tried on the filters of its tests, not derived."""
 LIKE = 3.0
-"""Variances of a reading: a curve that is farther from the other than this, whatever stepped, is of another filter."""
+"""If more than this remains, in variances of a reading, the two curves are not of one filter."""
 SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3
-"""So much of a step shows as it is, so clearly and so often: what shows less is the curve's own shape."""
+"""A step must show undisguised in SEEN_READINGS, by this share and deviations; else it is the curve's own shape."""
 GAP_S = 0.2
-"""Powder may come so often where readings were left out."""
+"""Interval at which powder may come where readings are missing."""
 LEAST_DIGITS, MOST_MG = 5.0, 50.0
-"""Of a step that is looked for."""
+"""Limits of a step that is looked for."""
 
 
 def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
-    """How far the zero stepped while a load came, or went again; 0 where no step is told."""
+    """How far the zero stepped while a load came, or went again [mg]; 0 if it did not."""
     return max(_stepped_mg(came, went, readability_mg), _stepped_mg(went, came, readability_mg))
 
 
 def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
-    """How far the zero stepped in `step`, if it did not in the other."""
+    """How far the zero stepped in `step`, if it did not in `sound`."""
     mass_mg = abs(step.step_mg)
     shown_mg = mass_mg * np.asarray(step.missing)
     tail = int(np.argmax(np.abs(shown_mg) < TAIL_MG)) if len(shown_mg) else 0
@@ -89,14 +92,14 @@ def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
 
 
 def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], came: Step, fall_s: float) -> float:
-    """By how much (N,) readings fall that no powder explains through a filter that has shown a container so.
+    """By how much readings (N,) fall [mg] that no powder explains, through a filter that showed a container as `came`.
 
     The powder falls for `fall_s` before it lands.
     """
-    from scipy.optimize import nnls  # which not every command has to load
+    from scipy.optimize import nnls  # deferred: slow to load
 
     shown_mg, at_s = np.asarray(readings_mg), np.asarray(times_s)
-    # With each of them, and between them where some were left out.
+    # With each reading, and in between where some are missing.
     arrives_s = np.concatenate([np.arange(*between, GAP_S) for between in pairwise(at_s)])
     landing_s = np.maximum(np.diff(arrives_s, prepend=arrives_s[0] - GAP_S), LEAST_APART_S)
     later_s = at_s[:, None] - arrives_s  # (N, M)
@@ -108,7 +111,7 @@ def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], cam
 
 
 def _summed(weights: Floats, shares: Floats) -> Floats:
-    """(D, N) by (T, N): (D, T). Not by BLAS, whose threads cost more than they bring to so few."""
+    """(D, N) by (T, N): (D, T). Not by BLAS, whose threads cost more than they gain for so few."""
     summed: Floats = np.einsum("dn,tn->dt", weights, shares)
     return summed
 

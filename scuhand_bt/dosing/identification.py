@@ -1,14 +1,13 @@
-"""What a balance is: how late it shows, and of what kind its filter is.
+"""What a balance is, by its readings: its delay and its kind of filter (docs/dosing.md, What is known of the balance).
 
     y'' = w^2 (M - y) - 2 z w y'          reading(t) = y(t - d) + noise          T = d + 2 z / w
 
-with what has left the nozzle M [mg], natural frequency w, damping z, pure delay d and the mean delay T, by which a
-steadily growing mass is read too late. A balance is known without a model: by a step of its load (`balance_of`), and by
-an opening and its tail (`balance_by`),
+T is the mean delay, by which a steadily growing mass is read late. It is known without any model from a step of the
+load (`balance_of`), and from an opening and its tail (`balance_by`):
 
-    T = 1 / m  integral of (M - r) dt,     M = m Phi(t) / Phi(end),     Phi the integral of phi,
+    T = 1 / m  integral of (M - r) dt,     M = m Phi(t) / Phi(end),     Phi the integral of phi
 
-where m is what came of it and r the readings. How far the nearest shape of that T is off says how sure that is.
+with m what came of the opening and r the readings. How far the nearest shape of that T is off tells how sure it is.
 """
 
 import math
@@ -24,7 +23,7 @@ from scuhand_bt.specs import BalanceBelief
 
 Array = NDArray[np.float64]
 READING, RATE, MASS, K, G = range(5)
-"""The state of a filter: (y, y', M, k, g)."""
+"""Indices of a filter's state: (y, y', M, k, g)."""
 
 SHAPES = {
     "ringing": (0.0, 0.5),
@@ -35,36 +34,36 @@ SHAPES = {
     "late": (0.55, 1.0),
     "delay": (0.9, 1.0),
 }
-"""Kinds of balances: the share of their delay that is pure, d / T, and the damping z of the rest, 2 z / w = T - d."""
+"""Kinds of filters: the share d / T of the delay that is dead time, and the damping z of the rest, 2 z / w = T - d."""
 STEP_DOUBT, OPENING_DOUBT = 0.12, 0.2
-"""Standard deviation of the delay's logarithm where a step has shown it; and an opening, at least: phi is a guess."""
+"""Standard deviation of the delay's logarithm by a step; and, at least, by an opening, as phi is a guess."""
 ADAPTS, SLOWEST = 0.2, 6.0
-"""The last of a step that takes this share of the delay longer than it should shows a filter that adapts; it is at most
-so many times slower when little changes."""
+"""A filter adapts if the last of a step takes longer than it should by this share of the delay. It is then up to
+SLOWEST times slower for little changes."""
 LEAST_LAST = 0.3
-"""Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
+"""Least time that the last of a step should take, as a share of the delay, when that factor is computed."""
 LEAST_DOUBT = 0.08
-"""That standard deviation, at least, of what is believed."""
+"""Least doubt of what is believed: standard deviation of the delay's logarithm."""
 UNLIKE = 0.15
-"""A container's step is of another balance where a shape is nearer than the known one by this share of the step."""
+"""A step is from another balance if a shape is nearer than the known one by this share of the step."""
 TELLS = 1.0
-"""An opening tells the balance when its delay is known to this."""
+"""Openings whose doubt is more than this tell nothing about the balance."""
 LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
-"""Delays that an opening may show, and a step is taken to have shown: no reading may miss any of it."""
+"""Limits of a delay that an opening or a step may show."""
 BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
-"""Powder may begin to come so long after the valve was told to open."""
+"""Times after the command to open at which powder may begin to come."""
 LEAST_APART_S = 1e-3
-"""Times are told apart by this, and readings are taken to be so far apart: lines that were held up come all at once."""
+"""Least difference of two times: lines that were held up come all at once."""
 TAIL = np.arange(0.1, 30.0, 0.1)
-"""Times, in delays, that a tail is looked at; no shape takes longer to show 100 g to half of 0.1 mg."""
+"""Times, in delays, at which a tail is evaluated; no shape takes longer to show 100 g to half of 0.1 mg."""
 INDEPENDENT = 10.0
-"""Of the differences between readings and a model, as many are independent of each other."""
+"""Number of independent differences between readings and a model."""
 MASS_ERROR_MG, SETTLED = 0.1, 3.0
-"""What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
+"""Error of the mass that came of an opening, besides noise; and the delays after which a balance shows it."""
 
 
 class Row(NamedTuple):
-    """One reading of an opening and its tail, as `Bank.update` takes it."""
+    """A reading of an opening and its tail, as `Bank.update` takes it."""
 
     dt_s: float
     phi_s: float
@@ -72,13 +71,13 @@ class Row(NamedTuple):
     reading_mg: float
     noise_mg: float
     changed: float = 0.0
-    """By how much the opening was changed before it, as the logarithm of what lies above the threshold."""
+    """Change of the opening before it: the logarithm of the ratio of the gaps above the threshold."""
 
 
 def transitions(
     delays_s: float | Array, pure: float | Array, damping: float | Array, dt_s: float | Array
 ) -> tuple[Array, Array]:
-    """(…, 5, 5) over times `dt_s` with the valve shut, and (…, 5) what k adds per unit of phi's integral.
+    """Transitions (…, 5, 5) over `dt_s` with the valve shut, and (…, 5) what k adds per unit of phi's integral.
 
     In closed form: (y - M, y') decays by exp(A t), A = ((0, 1), (-w^2, -2 z w)), and M grows linearly.
     """
@@ -99,21 +98,21 @@ def transitions(
 
 
 def shows_s(balance: BalanceBelief, masses_mg: Array, least_mg: float) -> Array:
-    """(N,) so long [s] after masses (N,) [mg], each of which came at once, all but `least_mg` is shown for good."""
+    """(N,) times [s] after which all but `least_mg` of masses (N,) [mg] that came at once is shown for good."""
     delay_s, (pure, damping) = 2.0 * balance.lag_s, SHAPES[balance.shape]
     after_s = delay_s * TAIL[::-1]
     still, _ = transitions(delay_s, pure, damping, after_s)
-    most = np.maximum.accumulate(np.abs(still[:, READING, READING]))  # at any later time, from the last one back
+    most = np.maximum.accumulate(np.abs(still[:, READING, READING]))  # the largest at any later time, as shapes ring
     shown = np.searchsorted(most, least_mg / np.maximum(masses_mg, least_mg)) - 1
     return pure * delay_s + after_s[np.maximum(shown, 0)]
 
 
 def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
-    """The balance that has shown a step so: its delay is known without a model, its shape is the nearest one.
+    """The balance by a step: its delay needs no model, its shape is the nearest one.
 
-    A filter that adapts hurries for a step, and takes its time over the last of it: then its delay is taken to be the
-    geometric mean of what it is in a hurry and what it is otherwise, and may be either. What makes the last longer by
-    no more than so many standard deviations (`beyond`) is taken for chance.
+    A filter that adapts is quick for a step and slow for its last milligrams. Its delay is then set to the geometric
+    mean of both, with a doubt that covers either. A last part that is longer by no more than `beyond` standard
+    deviations counts as chance.
     """
     delay_s, (shape, far, linear_s) = step.delay_s, _nearest(step)
     slower = 1.0
@@ -130,20 +129,20 @@ def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
 
 
 def is_unlike(step: Step, shape: str) -> bool:
-    """Whether a step is none of this shape, whatever its delay: another is nearer by `UNLIKE` of what it is about."""
+    """Whether a step does not fit this shape at any delay: another is nearer by more than `UNLIKE` of the step."""
     fits = _fits(step)
     nearest, _ = min(fits.values())
     return fits[shape][0] - nearest > UNLIKE * math.hypot(*step.missing)
 
 
 def is_linear(step: Step, beyond: float) -> bool:
-    """Whether the last of a step came too soon, by so many standard deviations, for a filter that adapts."""
+    """Whether the last of a step came too soon, by `beyond` standard deviations, for a filter that adapts."""
     _, _, linear_s = _nearest(step)
     return step.last_s + beyond * step.last_uncertainty_s < linear_s + ADAPTS * step.delay_s
 
 
 def _nearest(step: Step) -> tuple[str, float, float]:
-    """The shape that is nearest to a step, how far off it is [1], and what the last of the step takes it [s]."""
+    """The shape nearest to a step, how far off it is [1], and the time the step's last part takes it [s]."""
     fits = _fits(step)
     shape = min(fits, key=lambda name: fits[name][0])
     return shape, *fits[shape]
@@ -151,7 +150,7 @@ def _nearest(step: Step) -> tuple[str, float, float]:
 
 @lru_cache(maxsize=4)
 def _fits(step: Step) -> Mapping[str, tuple[float, float]]:
-    """How far each shape is off a step [1], and what the last of the step takes it [s]."""
+    """Per shape: how far off a step it is [1], and the time the step's last part takes it [s]."""
     delay_s, fits = step.delay_s, dict[str, tuple[float, float]]()
     for shape, (pure, damping) in SHAPES.items():
         still, _ = transitions(delay_s, pure, damping, np.maximum(np.array(step.times_s) - pure * delay_s, 1e-3))
@@ -161,11 +160,11 @@ def _fits(step: Step) -> Mapping[str, tuple[float, float]]:
 
 
 def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
-    """The balance as an opening and its whole tail show it, of which `gained_mg` came; None where it shows no delay.
+    """The balance by an opening and its whole tail, of which `gained_mg` came; None where it shows no delay.
 
-    Each shape is tried, with powder that began to come as phi has it or later; the one that is nearest to the readings
-    counts. What others of almost as good a fit differ by makes it doubtful, and so do the area that is left between,
-    and the mass' error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
+    Each shape is tried with several beginnings of the powder; the best fit counts. Its doubt comes from the spread of
+    fits almost as good, the area that remains, and the error of the mass over the time looked at. `fits` and `noise_mg`
+    are left to the caller.
     """
     dt_s, phi_s, _, readings_mg, noise_mg, _ = np.array(rows).T
     ends_s, shown_mg = np.cumsum(dt_s), readings_mg - begin_mg
@@ -194,11 +193,10 @@ def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> Balanc
 
 
 def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBelief:
-    """What is believed once an opening has told something: taken in by how sure it is.
+    """The belief once an opening has told something, weighted by how sure that is.
 
-    What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
-    Powder that is held up makes a balance look quicker than it is: an opening that contradicts a container so counts
-    for the quickest that the container allows, and none makes it quicker than that.
+    A contradiction widens the doubt: a filter that adapts has two speeds, and one that was changed a new one. No
+    opening makes a balance quicker than its container allows, as powder that is held up looks like a quick balance.
     """
     if found is None or found.doubt > TELLS:
         return known
@@ -214,7 +212,7 @@ def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBeli
     share = known.doubt**2 / (known.doubt**2 + doubt**2)
     agreed = doubt * math.sqrt(share)
     contradicted = max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0)
-    if known.adapts and contradicted == 0.0:  # one of its two faces: the other is as likely in the next opening
+    if known.adapts and contradicted == 0.0:  # one of its two speeds: the other is as likely in the next opening
         return known.model_copy(update={"fits": known.fits + 1})
     return known.model_copy(
         update={
@@ -227,7 +225,7 @@ def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBeli
 
 def _shown_mg(delays_s: Array, shapes: Sequence[str] | NDArray[np.str_], dt_s: Array, came_mg: Array) -> Array:
     """(H, N) what balances (H,) show of masses (H, N) that come over times `dt_s` (N,)."""
-    from scuhand_bt.dosing import filters  # half a second, which not every command has to spend
+    from scuhand_bt.dosing import filters  # deferred: takes half a second
 
     pure, damping = np.array([SHAPES[shape] for shape in shapes]).T
     steps_s, steps = np.unique(np.round(dt_s, 3), return_inverse=True)

@@ -1,24 +1,20 @@
-"""Strokes in beakers and jars: which is made, what it should bring, and what it leaves on the level floor.
+"""Strokes in beakers and jars: which is made, what it brings, and what it leaves (docs/scoop.md, Beakers and jars).
 
-A stroke along a heading goes from where the hand can bring the lip down, x0 behind the middle, to where the floor
-ends, f. A rigid rim of radius a touches a level floor in one point; y beside that it is higher, and farther behind, by
+A stroke along a heading goes from x0, where the hand can bring the lip down behind the middle, to f, where the floor
+ends. x0 is farther behind for a larger gap, as the edge is less in the hand's way. A rigid rim of radius a touches a
+level floor in one point; y beside that it is higher, and farther behind, by
 
     z = (a - sqrt(a^2 - y^2)) cos(alpha - beta),    dx = (a - sqrt(a^2 - y^2)) sin(alpha - beta)
 
-alpha being the cone's half-angle, beta the attack. So along its way, x0 < x < f - dx, a stroke at a gap g leaves
+with alpha the cone's half-angle, beta the attack. So along x0 < x < f - dx a stroke at a gap g leaves t <= g + z, and
+brings what was thicker. All else stays: behind its beginning, beside its rim, before the wall.
 
-    t <= g + z
+The bed is as thick everywhere as the strokes made so far let it be, up to one level that makes its mass. What has come
+since, as leftovers do, lies on that as a heap in the middle.
 
-and what was thicker it is expected to bring. Whatever lies elsewhere stays: behind its beginning, beside its rim, and
-before the wall. What lies in a jar is as thick everywhere as the strokes that were made let it be, up to one level that
-makes its mass; what has come since the last of them, as the rest of a load that is poured back, lies on that as a heap
-in the middle, where all strokes go. x0 is farther behind, the larger the gap: the edge is less in the hand's way.
-
-A sheet that bends, by what is assumed, brings more, and who pours that back unseen makes a larger heap. Of a layer no
-stroke is made that would then bring more than the powder's load limit. The form is ours, and takes powder to stay as
-it was left; what a source really yields of it is learnt from weighing (`cell/believed.py`).
-
-Of a gap of less than a grain, grains jam under the lip, as in a bowl (`strokes.py`). Masses in mg, lengths in mm.
+A sheet may bend (assumed) and bring more, which makes a larger heap once poured back. A stroke that leaves a layer is
+not made if it would then bring more than the load limit. The model is ours, and takes powder to stay as it was left;
+what a source really yields is learnt by weighing (docs/scoop-belief.md). Masses in mg, lengths in mm.
 """
 
 import math
@@ -49,32 +45,32 @@ from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.specs import Mortar, Powder
 
 RIM_SHARE = 0.8
-"""Of the bore, or of the flat sheet: the rim that a stroke begins with. A wider one brings more at first, by the height
-field a third in a jar of 95 mm, but the arm makes it in half as many directions, and all together bring less."""
+"""The rim at the beginning, as a share of the bore or of the flat sheet, whichever is less. A wider one brings more at
+first (by the height field, a third more in a jar of 95 mm). But the arm can make it in half as many directions, and all
+together bring less."""
 FOUND_AGAIN = 0.6
-"""Of what strokes after the first meet, the share that they bring: what those before them have pushed ahead and aside
-lies beside them, or before the wall. By the height field 1 to 0.4 of 12 g, and 0.75 to 0.35 of 40 g."""
+"""Share of what it meets that a stroke after the first brings: what was pushed aside lies beside it or before the wall.
+By the height field 1 to 0.4 of 12 g, and 0.75 to 0.35 of 40 g."""
 LEAST_MG = 100.0
-"""A stroke that should bring less is not made: what is left of a jar lies where no stroke comes."""
+"""A stroke expected to bring less is not made: what is left lies where no stroke comes."""
 SURE_SHARE = 0.65
-"""Of what the strokes in a jar should bring, what a plan may count on. By the height field all strokes through 12 and
-30 g of beads, MSG and titanium dioxide bring 0.67 to 0.78 of it in a jar of 80 mm, 1.0 to 1.4 in 95 and 110 mm."""
+"""Share of what a jar's strokes should bring that a plan counts on. By the height field all strokes through 12 and 30 g
+of beads, MSG and titanium dioxide bring 0.67 to 0.78 of it in a jar of 80 mm, 1.0 to 1.4 in 95 and 110 mm."""
 WIDEST_MM, SIZES_MM = 150.0, 5.0
-"""What would do in place of a jar that no stroke can be made in is looked for in such steps."""
+"""Largest bore, and steps of the sizes, that are proposed in place of a jar in which no stroke is possible."""
 COUNTED_ON_DEG = (90.0, 270.0, 120.0, 240.0)
-"""The directions that a plan counts on before the arm is asked; in the jars that were tried it can make 4 to 6."""
+"""Directions that a plan counts on before the arm is asked; in the jars that were tried it can make 4 to 6."""
 FROM_WALL_MM = 7.0
-"""In a jar filled above its half the lip keeps so far from the wall while the cone turns upright. What is pushed before
-it lies there, and goes over the edge of a nearly full one: by the height field 0.1 to 0.9 g from 1 to 4 mm, and none
-from 6.4 mm."""
+"""Distance of the lip from the wall as the cone turns upright, in a jar filled above half. What it pushes lies there,
+and goes over the edge of a nearly full jar: by the height field 0.1 to 0.9 g from 1 to 4 mm, and none from 6.4 mm."""
 RUNS_MM = 5.0
-"""How far a stroke goes is looked at at gaps in such steps, and is between them what lies between."""
+"""How far a stroke goes is computed at gaps in these steps, and interpolated between."""
 CELL_MM = 2.0
-"""Of the grid on which what lies in a jar is believed."""
+"""Cell size of the grid that holds the bed's thickness."""
 
 
 class JarBed:
-    """What is believed to lie in a beaker or a jar that such a hand scoops from."""
+    """What is believed to lie in a beaker or jar that such a hand scoops from."""
 
     def __init__(
         self, mortar: Mortar, mass_mg: float, powder: Powder, ladle: Ladle, layer: Layer | None = None
@@ -93,27 +89,27 @@ class JarBed:
         self._passes, self._came_mg = layer.passes, max(0.0, mass_mg - layer.mass_mg)
         self._left_mm = self._level(min(layer.mass_mg, mass_mg))
         self._thick_mm = self._left_mm + self._heap(self._came_mg)
-        # Who has poured back what came unseen as well has made a larger heap.
+        # If more came than expected, unseen, the heap that was poured back is larger.
         more_mg = layer.more_mg if self._came_mg > THIN_MG else 0.0
         self._heavy_mm = self._left_mm + self._heap(self._came_mg + more_mg)
 
     def expected_mg(self, stroke: Stroke) -> float:
-        """What a stroke is expected to bring into the cone."""
+        """The mass that a stroke is expected to bring into the cone."""
         of_heap_mg = self._of_heap_mg(stroke)
         found = FOUND_AGAIN if self._passes else 1.0
         return found * (self.most_mg(stroke) - of_heap_mg) + of_heap_mg
 
     def most_mg(self, stroke: Stroke) -> float:
-        """What a stroke brings that keeps all that it meets."""
+        """The mass that a stroke brings if it keeps all that it meets."""
         return self._above_mg(self._thick_mm, self._passed(stroke))
 
     def _bent_mg(self, thick_mm: Floats, stroke: Stroke) -> float:
-        """What it brings if the sheet bends down to the floor."""
+        """The mass that it brings if the sheet bends down to the floor."""
         left = self._passed(stroke)
         return self._above_mg(thick_mm, replace(left, left_mm=max(0.0, left.left_mm - BENDS_MM)))
 
     def left_by(self, stroke: Stroke) -> Layer:
-        """What a stroke is expected to leave."""
+        """The layer that a stroke is expected to leave."""
         over_mm = (self._came_mg - self._of_heap_mg(stroke)) / (self._mg_per_mm * len(self._high_mm))
         others = [one for one in self._passes if one.heading_deg != stroke.heading_deg]
         raised = (replace(one, left_mm=one.left_mm + over_mm) for one in others)
@@ -123,23 +119,23 @@ class JarBed:
         return Layer(stroke.gap_mm, self.mass_mg - expected_mg, more_mg=more_mg, passes=passes)
 
     def with_more(self, mass_mg: float) -> "JarBed":
-        """The same, into the middle of which so much is poured."""
+        """The bed after a mass is poured into its middle."""
         return JarBed(self.mortar, self.mass_mg + mass_mg, self.powder, self._ladle, self._layer)
 
     def after(self, stroke: Stroke) -> "JarBed":
-        """The same, when a stroke has brought what it is expected to."""
+        """The bed after a stroke that has brought what is expected."""
         left = self.left_by(stroke)
         return JarBed(self.mortar, left.mass_mg, self.powder, self._ladle, left)
 
     def strokes(self, wanted_mg: float, headings_deg: Iterable[float]) -> list[Stroke]:
-        """The one along each heading that is `chosen`, that brings most first."""
+        """The `chosen` stroke along each heading, the most productive first."""
         along = [self.chosen(wanted_mg, heading_deg) for heading_deg in headings_deg]
         return sorted(along, key=self.expected_mg, reverse=True)
 
     def chosen(self, wanted_mg: float, heading_deg: float) -> Stroke:
-        """The stroke along a heading that brings so much and no more: as deep as it has to be.
+        """The stroke along a heading that brings no more than is wanted, as deep as it has to be.
 
-        NoStrokeError where the hand can make none in such a vessel, with one of which it could.
+        Raises NoStrokeError, naming sizes with which it could, where the hand can make none in such a vessel.
         """
         if not has_way(self.mortar, self._ladle):
             raise _no_way(self.mortar, self._ladle, self.mass_mg / self.powder.bulk_density_mg_per_mm3)
@@ -153,7 +149,7 @@ class JarBed:
         return stroke
 
     def _layered(self, deepest: Stroke, wanted_mg: float, grains: float) -> Stroke:
-        """The deepest that brings no more, and leaves a layer of so many grains or more."""
+        """The deepest stroke that brings no more than is wanted and leaves a layer of so many grains or more."""
 
         def at(steps: int) -> Stroke:
             gap_mm = steps * GAP_GRID_MM
@@ -176,21 +172,21 @@ class JarBed:
         return Pass(stroke.heading_deg, stroke.gap_mm - loose_mm)
 
     def _of_heap_mg(self, stroke: Stroke) -> float:
-        """What it meets of the heap in the middle."""
+        """What a stroke meets of the heap in the middle."""
         return self.most_mg(stroke) - self._above_mg(self._left_mm, self._passed(stroke))
 
     def _above_mg(self, thick_mm: Floats, passed: Pass) -> float:
         return self._mg_per_mm * float(np.maximum(thick_mm - self._most_mm(passed), 0.0).sum())
 
     def _heap(self, came_mg: float) -> Floats:
-        """How thick lies what has come since, poured onto the middle, as steep as its repose."""
+        """Thickness of what has come since, poured onto the middle, at its repose."""
         steep = math.tan(math.radians(self.powder.repose_deg))
         high_mm = math.cbrt(3 * steep**2 * came_mg / self.powder.bulk_density_mg_per_mm3 / math.pi)
         thick_mm: Floats = np.maximum(high_mm - steep * np.hypot(self._x_mm, self._y_mm), 0.0)
         return thick_mm * (came_mg / max(self._mg_per_mm * float(thick_mm.sum()), THIN_MM))
 
     def _level(self, mass_mg: float) -> Floats:
-        """How thick so much lies everywhere: up to one level, and no thicker than strokes have left it."""
+        """Thickness of a mass everywhere: up to one level, and no thicker than strokes have left it."""
         most_mm = np.full_like(self._high_mm, self.mortar.depth_mm)
         for one in self._passes:
             most_mm = np.minimum(most_mm, self._most_mm(one))
@@ -210,7 +206,7 @@ class JarBed:
         return thick * (mass_mg / max(self._mg_per_mm * float(thick.sum()), THIN_MM))
 
     def _most_mm(self, one: Pass) -> Floats:
-        """How thick a stroke leaves what lies there at most: no end of it where the stroke does not go."""
+        """The greatest thickness that a stroke leaves; infinite where it does not go."""
         heading, (begin_mm, end_mm) = math.radians(one.heading_deg), _run_mm(self.mortar, self._ladle, one.left_mm)
         along_mm = self._x_mm * math.cos(heading) + self._y_mm * math.sin(heading)
         aside_mm = self._y_mm * math.cos(heading) - self._x_mm * math.sin(heading)
@@ -225,7 +221,7 @@ class JarBed:
 
 
 def along_floor(mortar: Mortar, sheet_radius_mm: float) -> Stroke:
-    """The stroke that takes all that is on its way along a jar's floor, as far as that goes."""
+    """The stroke that takes all on its way along a jar's floor."""
     widest_mm = RIM_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
     open_mm, closed_mm = (RIM_GRID_MM * round(rim_mm / RIM_GRID_MM) for rim_mm in (widest_mm, widest_mm - CLOSING_MM))
     floor_mm = mortar.bore_mm / 2 - corner_of(mortar)
@@ -240,12 +236,11 @@ def after_dose(
     is_discarded: bool,
     may_be: Callable[[Stroke], bool] = lambda stroke: True,
 ) -> JarBed | None:
-    """What should be left in a jar when a dose has come of it, by the strokes that the skill would make.
+    """The bed after a dose, by the strokes that `scoop` would make; None where the dose is not sure to come.
 
-    Of what they should bring `SURE_SHARE` is counted on; what is more than the dose is poured back, unless it
-    `is_discarded`: then the last of each load goes with it. `may_be` tells whether the arm can make one. None where
-    the dose is not sure to come.
-    NoStrokeError where the hand can make none in such a vessel.
+    `SURE_SHARE` of what the strokes should bring is counted on. A surplus is poured back, unless it `is_discarded`:
+    then the last of each load goes with it. `may_be` tells whether the arm can make a stroke. Raises NoStrokeError
+    where the hand can make none in such a vessel.
     """
     wanted_mg = scooped_for_mg(dose_mg, bed.powder, is_discarded=is_discarded)
     wanted_mg, brought_mg = min(wanted_mg, LOAD_AIM * bed.powder.load_limit_mg), 0.0
@@ -267,7 +262,7 @@ def sure_doses(
     is_discarded: bool,
     may_be: Callable[[Stroke], bool] = lambda stroke: True,
 ) -> int:
-    """How many doses, one after another, are sure to come of a jar; see `after_dose`."""
+    """How many doses, one after another, are sure to come out of a jar; see `after_dose`."""
     for number, dose_mg in enumerate(doses_mg):
         left = after_dose(bed, dose_mg, headings_deg, is_discarded=is_discarded, may_be=may_be)
         if left is None:
@@ -277,7 +272,7 @@ def sure_doses(
 
 
 def _end_mm(mortar: Mortar, sheet_radius_mm: float, gap_mm: float) -> float:
-    """Where a stroke at such a gap ends: where the floor does, or before the cone turns over what it pours there."""
+    """Where a stroke at such a gap ends: at the floor's end, or earlier if the turning cone would pour there."""
     stroke = along_floor(mortar, sheet_radius_mm)
     if gap_mm <= mortar.depth_mm / 2:
         return stroke.end_mm
@@ -315,14 +310,14 @@ def _no_way(mortar: Mortar, ladle: Ladle, bed_mm3: float) -> NoStrokeError:
 
 
 def corner_of(jar: Mortar) -> float:
-    """ValueError for a bowl."""
+    """The corner's radius; raises ValueError for a bowl."""
     if jar.corner_mm is None:
         raise ValueError(f"'{jar.name}' is a bowl")
     return jar.corner_mm
 
 
 def _run_mm(mortar: Mortar, ladle: Ladle, gap_mm: float) -> Floats:
-    """From where to where the lip goes, so far above the floor: (2,); NoStrokeError where it cannot go along it."""
+    """The lip's run (begin, end) along the floor at a gap: (2,). Raises NoStrokeError where it has no way."""
     below = math.floor(gap_mm / RUNS_MM)
     first, then = (_run_at_mm(mortar, ladle, max(LIP_GAP_MM, step * RUNS_MM)) for step in (below, below + 1))
     run: Floats = first + (gap_mm / RUNS_MM - below) * (then - first)

@@ -1,10 +1,10 @@
-"""What `adaptive` knows during one dose, and what it keeps of it.
+"""What `adaptive` knows during a dose and keeps of it (docs/dosing.md, What is learnt).
 
-* The bank of filters (`estimation`), begun anew with each opening, and the valve's path (`valve`).
-* The reference: the flow's coefficient k where nothing is in the powder's way. An opening shows k = gained mass over
-  the integral of phi; the reference goes at once to what is more, and little by little to what is less.
-* How wide an opening may be: the chance constraint (`constraint`), and what a sheet that sticks would let out.
-* How good its predictions turned out to be: `erratic`, by what factor their variance is too small.
+* The bank of filters (`estimation`), restarted at each opening, and the valve's path (`valve`).
+* The reference k_ref: the flow's coefficient with nothing in the powder's way. An opening shows its gain over the
+  integral of phi.
+* How wide an opening may be (`constraint`), and the narrowest that is useful.
+* `erratic`: the factor by which the variance of predictions has proven too small.
 """
 
 import math
@@ -29,39 +29,40 @@ from scuhand_bt.dosing.verdict import COVERAGE, acceptance_mg, judge
 from scuhand_bt.specs import GAPS_MM, PowderBelief, Verdict
 
 SLOWER = 0.7
-"""The reference falls to no less than this share of itself in an opening."""
+"""One `learn` lowers the reference to no less than this share, as the powder may have been bridged. `follow` has no
+such limit. `seen` falls by it where nothing came at all."""
 RISES, RISEN = 3, 3.0
-"""Readings whose mean is above that of as many before, by so many standard deviations, still rise."""
+"""Readings still rise if the mean of RISES exceeds that of as many before by RISEN standard deviations."""
 PEAK, PEAK_NOISES, PEAK_LUMPS = 5, 4.0, 5.0
-"""Readings that a flow's peak is taken over; so many standard deviations of one, and lumps, are no part of it."""
+"""Readings that a flow's peak is taken over, and the standard deviations and lumps that are no part of it."""
 SURE = 1.5
-"""So many standard deviations below what is believed of it the flow surely is."""
+"""The flow is surely at least what is believed less this many standard deviations."""
 LEAST_MG, TELLING = 2.0, 20.0
-"""Openings that neither brought this together nor should have, or so many times the noise, teach nothing yet."""
+"""Openings are added up until they brought, or should have brought, LEAST_MG or TELLING times the noise."""
 AIM_UNDER_MG = 0.1
-"""Too little can be corrected, too much cannot."""
+"""The aim is this far below the target: too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
-"""Above the target, where the balance is too uncertain for any verdict."""
+"""Above the target, the least limit where the balance is too uncertain for any verdict."""
 SLACK_S = 0.1
-"""Between a reading and the command that answers it."""
+"""Time between a reading and the command that answers it."""
 LEAST_HOLD_S = 0.1
-"""No opening is shorter."""
+"""Shortest opening."""
 WIDER, MOST_NARROWEST_MM = 1.4, 0.5
-"""Where nothing comes from it, the narrowest opening grows by this factor, up to so far above the threshold."""
+"""Where little comes, the narrowest opening grows by WIDER, up to MOST_NARROWEST_MM above the threshold."""
 ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
-"""How fast it is learnt that predictions are worse than they claim; and the most that one of them tells."""
+"""Gain at which `erratic` is learnt, and the most that one prediction counts."""
 DIFFERS = 0.5
-"""By how much the flow may differ from what is believed, as a logarithm."""
+"""Standard deviation of the flow's logarithm from opening to opening."""
 HARDLY_EVER = 2.6
-"""Standard deviations that a flow is above its reference once in 200 times."""
+"""Standard deviations by which one flow in 200 exceeds its reference."""
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
-"""What doses are taken to differ by, at least: until a second one was seen, and ever."""
+"""Least spread between doses: until a second one was seen, and ever."""
 NEAR_MG = 20.0
-"""On a balance that adapts an opening ends so far from the target, and the last of the dose comes out of others."""
+"""On a balance that adapts an opening ends this far short of the aim; the rest comes out of others (`near`)."""
 FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
-"""How far the reference goes after the flow with each sight of it; where the flow is surely stronger."""
+"""Share of the difference by which the reference follows the flow at each sight; if that is surely stronger."""
 LEAST_WEIGHT = 0.2
-"""What a dose counts beside those before, at least."""
+"""Least weight of a dose against those before it."""
 
 
 class Knowledge:
@@ -73,58 +74,58 @@ class Knowledge:
         self.valve = ValvePath(self.shape, request.valve_dead_time_s, request.valve_speed_mm_per_s)
         self.noise = Noise(self.balance.noise_mg, self.balance.shaken_noise_mg, request.readability_mg)
         self.reference = self.belief.coefficient
-        """The flow's coefficient when nothing is in its way."""
+        """k_ref, the flow's coefficient with nothing in its way."""
         unknown = max(UNKNOWN_SPREAD, request.free_flow / (HARDLY_EVER * self.reference))
         self.spread = unknown if self.belief.doses == 0 else self.belief.spread
-        """What a new opening's flow may be off by, relative to the reference."""
+        """Standard deviation of a new opening's flow, relative to the reference."""
         self.error_mm = UNKNOWN_ERROR_MM if self.belief.doses == 0 else OPENING_ERROR_MM
-        """What the opening is off by, and the threshold: their standard deviation."""
+        """Standard deviation of the opening, and of the threshold."""
         self.seen = self.reference if self.belief.doses else 0.0
-        """The greatest coefficient that powder was seen to flow with."""
+        """The greatest coefficient with which powder was seen to flow."""
         self.seen_now = 0.0
         """The same, in this dose."""
         self.erratic = self.belief.erratic
-        """By what factor the variance of what was predicted is too small."""
+        """Factor by which the variance of predictions is too small."""
         self.gap_mm = self.belief.gap_mm
-        """The opening above the threshold that the reference was seen at."""
+        """The opening above the threshold at which the reference was seen."""
         self.surge_mg = self.belief.surge_mg
         self.uncertainty_mg = request.uncertainty_mg
-        """The standard uncertainty of the mass that will be judged; it grows with the time that a dose takes."""
+        """Standard uncertainty of the mass that will be judged; it grows as the dose takes longer."""
         self.doubt: Doubt | None = None
         self.time_s = 0.0
         self.rows: list[Row] = []
         self._needed_mm = max(self.belief.narrowest_mm / WIDER, NARROWEST_MM)
-        """Above the threshold: from less, little comes. Each dose tries less than the one before."""
+        """Narrowest useful opening, above the threshold. Each dose begins one step below that of the last."""
         self._ratios: list[tuple[float, float, float]] = []
-        """Of openings: what came [mg], the coefficient against the belief's as a logarithm, and the mean gap [mm]."""
+        """Of each opening: what came [mg], log of the coefficient over the belief's, mean gap [mm]."""
         self._told_of = np.zeros(3)
-        """Of openings that nothing was learnt from yet: what came [mg], the integral of phi, and how long [s]."""
+        """Sums over openings not learnt from yet: what came [mg], integral of phi, time open [s]."""
         self.begin(0.0, 1.0)
 
     # --- an opening ---
 
     def begin(self, mass_mg: float, sd_mg: float) -> None:
-        """The balance is at rest, the valve shut, and this has been dosed, give or take `sd_mg`."""
+        """Begin an opening: valve shut, balance at rest, the mass known to `sd_mg`."""
         self.begin_mg, self._most_phi_s, self._shut_s = mass_mg, 0.0, 0.0
         self.surely = 0.0
-        """The coefficient that powder has surely flowed with, in this opening."""
+        """The coefficient with which powder has surely flowed in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.erratic = self.erratic
         self.hurries = self.balance.adapts and self.aim_mg - mass_mg > 2.0 * NEAR_MG
-        """Whether so much is to come that a filter which adapts shows its quick face; the last of a dose shows both."""
+        """Whether so much is missing that an adapting filter shows its quick speed; the last of a dose shows both."""
         if self.balance.adapts and not self.hurries:
             self.bank.temper = 0.0
         self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
         self.narrowest_mm = self._needed_mm
-        """The same, of this opening: what lets out more until it is answered than may come is no choice."""
+        """The narrowest useful opening now: none that lets out more than the room before it is answered."""
         while self.narrowest_mm > NARROWEST_MM and not self._may_come(self.narrowest_mm):
             self.narrowest_mm = max(self.narrowest_mm / WIDER, NARROWEST_MM)
 
     def act(
         self, opening_mm: float, vibration: float, hold_s: float = math.inf
     ) -> Generator[Command, Observation, float]:
-        """Hold a command until the next reading, or so long; the reading's innovation in standard deviations."""
+        """Hold a command until the next reading, or for `hold_s`; returns the innovation [standard deviations]."""
         before_mm = self._known_gap_mm
         self.valve.command(self.time_s, opening_mm)
         changed = math.log(self._known_gap_mm / before_mm) if opening_mm > 0.0 else 0.0
@@ -141,15 +142,15 @@ class Knowledge:
         score = self.bank.update(row, self.reference)
         self.seen_now = max(self.seen_now, self.surely)
         peak = 0.0 if shaking else self._peak()
-        if phi_s > 0.0:  # what rises in the tail is the balance's: one that adapts takes longer than its model
+        if phi_s > 0.0:  # a rise after shutting is the balance's: an adapting filter outlasts its model
             self.surely, self._shut_s = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd), 0.0
         self._shut_s += dt_s
-        if self._shut_s < self.bank.delay_s + PEAK * dt_s:  # powder that primed late shows when the valve is shut
+        if self._shut_s < self.bank.delay_s + PEAK * dt_s:  # powder that primed late shows once the valve is shut
             self.surely = max(self.surely, peak)
         return score
 
     def _peak(self) -> float:
-        """The flow's coefficient as the steepest rise shows it, whatever the balance: it shows no rise too steep."""
+        """The flow's coefficient by the steepest rise; no balance shows a rise steeper than the true one."""
         self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
         if len(self.rows) <= PEAK:
             return 0.0
@@ -159,7 +160,7 @@ class Knowledge:
 
     @property
     def is_rising(self) -> bool:
-        """Whether readings still go up, whatever the models of the balance say."""
+        """Whether readings still rise, whatever the models say."""
         if len(self.rows) < 2 * RISES:
             return True
         readings_mg = [row.reading_mg for row in self.rows[-2 * RISES :]]
@@ -167,14 +168,14 @@ class Knowledge:
         return rise_mg > RISEN * math.sqrt(2.0 / RISES) * self.rows[-1].noise_mg
 
     def predicted(self) -> tuple[float, float]:
-        """Mean and standard deviation [mg] of what will have left once the valve is shut, if it is told to now."""
+        """Mean and standard deviation [mg] of the mass that will have left if the valve is told to shut now."""
         means, variances = self.bank.coming(*self.valve.closing(0.0))
         return self.bank.over_all(means, variances / self.bank.erratic)
 
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
-        """What was predicted when the valve was told to shut, against what is known after the look.
+        """Update `erratic` by what was predicted at the command to shut and what the look shows.
 
-        Only what came more than that is held against it.
+        Only a surplus counts against the prediction.
         """
         more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise.quiet_mg)
         self.erratic += ERRATIC_GAIN * (min(2.0 * more * more, MOST_ERRATIC) - self.erratic)
@@ -184,44 +185,44 @@ class Knowledge:
 
     @property
     def most_mg(self) -> float:
-        """No more may leave: a stable mean would call it too much."""
+        """The limit of the constraint: a stable mean would call more than this too much."""
         spare_mg = acceptance_mg(self.request.tolerance_mg, self.uncertainty_mg)
         return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
 
     @property
     def room_mg(self) -> float:
-        """What may leave beside what has left."""
+        """What may still leave."""
         return self.most_mg - self.bank.mass_mg
 
     @property
     def least_mg(self) -> float:
-        """The mass that a stable mean would call in tolerance."""
+        """The least mass that a stable mean would call in tolerance."""
         return self.request.target_mg - self.request.tolerance_mg + COVERAGE * self.uncertainty_mg
 
     @property
     def aim_mg(self) -> float:
-        """The target; less by a lump where powder comes in lumps: they can be waited for, but not taken back."""
+        """The mass to stop at: a lump below the target, as lumps can be waited for but not taken back."""
         least_mg = min(self.least_mg + AIM_UNDER_MG, self.request.target_mg)
         under_mg = self.bank.surge_mg + AIM_UNDER_MG * math.sqrt(self.erratic)
         return max(self.request.target_mg - under_mg, least_mg)
 
     @property
     def until_next_s(self) -> float:
-        """How long an opening lasts that is to last until the next reading.
+        """Duration of an opening that may last until the next reading.
 
-        Where readings are rare it ends without one that is late, or lost: the constraint has it answered by then; and
-        elsewhere without several.
+        With rare readings it ends even if that reading is late or lost, as the constraint counts on an answer by then.
+        Otherwise several may be lost.
         """
         period_s = self.request.balance_period_s
         return self._late_s if period_s > LEAST_HOLD_S else silence_s(period_s)
 
     @property
     def _late_s(self) -> float:
-        """Between a reading and the valve's answer to it."""
+        """Time from a reading until the valve answers the next one."""
         return self.request.balance_period_s + SLACK_S
 
     def widest_mm(self, most_mg: float) -> float:
-        """The opening that the chance constraint allows, for as much mass as this."""
+        """The widest opening [mm] that the constraint allows for `most_mg`."""
         request, aim_mg = self.request, min(self.aim_mg, most_mg)
         hand = self._late_s + request.valve_dead_time_s, request.valve_speed_mm_per_s, request.max_opening_mm
         powder = self.reference, self._known_gap_mm, self.narrowest_mm
@@ -229,31 +230,31 @@ class Knowledge:
 
     @property
     def least_mm(self) -> float:
-        """The opening from less than which little comes."""
+        """The narrowest useful opening [mm]."""
         return self.shape.threshold_mm + self.narrowest_mm
 
     @property
     def strongest(self) -> float:
-        """What the flow's coefficient may well be where nothing is in its way, for all that is not seen of it."""
+        """The strongest coefficient to be reckoned with for what is not seen yet."""
         off = EXPONENT_ERROR * math.log(self._known_gap_mm / self.gap_mm)
         return self.reference * (1.0 + math.hypot(self.spread, off))
 
     @property
     def _known_gap_mm(self) -> float:
-        """The opening above the threshold that the flow is seen at, or was when the valve was open last."""
+        """The opening above the threshold at which the flow is seen, or was when the valve was last open."""
         told_mm = self.valve.target_mm
         return max(told_mm - self.shape.threshold_mm, NARROWEST_MM) if told_mm > 0.0 else self.gap_mm
 
     # --- what is learnt ---
 
     def follow(self) -> None:
-        """The reference goes after the flow: slowly, but at once where the flow is surely stronger."""
+        """Let the reference follow the flow: slowly, but quickly where the flow is surely stronger."""
         bank = self.bank
         sure = bank.coefficient - SURE * bank.coefficient_sd > self.reference
         self.reference += (FOLLOWS_SURELY if sure else FOLLOWS) * (bank.coefficient - self.reference)
 
     def learn(self, gained_mg: float) -> None:
-        """From an opening and its tail: what the balance is, and the flow."""
+        """Learn the balance and the flow from an opening and its tail, once its mass is known."""
         phi_s = sum(row.phi_s for row in self.rows)
         noise_mg = self.noise.quiet_mg
         self.surge_mg = self.bank.surge_mg
@@ -263,7 +264,7 @@ class Knowledge:
         if gained_mg > least_mg:
             self.balance = with_found(self.balance, balance_by(self.rows, self.begin_mg, gained_mg))
             self.error_mm = OPENING_ERROR_MM
-        # Openings that bring little tell something together.
+        # Openings that bring little are added up.
         open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
         self._told_of += gained_mg, phi_s, open_s
         gained_mg, phi_s, open_s = self._told_of.tolist()
@@ -273,42 +274,42 @@ class Knowledge:
         gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
         if gained_mg > least_mg:
             self.gap_mm = gap_mm
-        # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
-        # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
+        # Powder may have been bridged for a while: a faster flow is believed at once, a slower one little by little.
+        # What was seen to flow may always do so again. Narrow openings tell little.
         strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
         told = self._told(gap_mm, max(gained_mg - PEAK_LUMPS * self.surge_mg, self.reference * phi_s))
         found = self.reference * (strongest / self.reference) ** told
         was_held_up = gained_mg < FREELY * self.reference * phi_s
         self.reference = max(found, SLOWER * self.reference)
-        if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
+        if gained_mg > LEAST_MG:  # where nothing came, the cone may have been empty
             self.seen = max(self.seen, found)
             self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
         elif gained_mg < RISEN * noise_mg:  # nothing at all, though something should have come
             self.seen *= SLOWER
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
-        if was_held_up:  # what comes when nothing is in its way is as little known as before
+        if was_held_up:  # held up, the unhindered flow is as uncertain as before
             spread = max(spread, self.spread)
         self.spread = min(spread, max(self.spread, UNKNOWN_SPREAD))
 
     def learn_coefficient(self, coefficient: float) -> None:
-        """From pulses, each of which was weighed: what they have come to by now."""
+        """Take the coefficient found by weighed pulses."""
         self.reference = coefficient
         self._ratios = [(1.0, math.log(coefficient / self.belief.coefficient), self.gap_mm)]
 
     def _told(self, gap_mm: float, mass_mg: float) -> float:
-        """What an opening tells of the flow's coefficient, for what its width may be off, and for lumps by chance.
+        """The share of a new coefficient to believe, given the error of the width and the chance of lumps.
 
-        `mass_mg` is what should have come of it, or what more came than a few lumps make: they explain no more.
+        `mass_mg` is what should have come, or what came beyond a few lumps: they explain no more than that.
         """
         width = self.shape.exponent * OPENING_ERROR_MM / gap_mm
         lumps = 2.0 * self.surge_mg / mass_mg
         return DIFFERS**2 / (DIFFERS**2 + width**2 + lumps)
 
     def little_came(self) -> None:
-        """From the last opening: the powder needs more than so narrow a one.
+        """Widen the narrowest opening after one that brought little (docs/dosing.md, When little comes).
 
-        The next one may be wider than the constraint has it, and is shut by it at once if it flows: as wide as lets out
-        no more until then than may come.
+        It may be wider than the constraint allows, which shuts it as soon as powder flows; but it lets out no more than
+        the room until then.
         """
         tried_mm = float(max(row.phi_s / row.dt_s for row in self.rows) ** (1.0 / self.shape.exponent))
         wider_mm = min(WIDER * max(tried_mm, self.narrowest_mm), MOST_NARROWEST_MM)
@@ -316,40 +317,40 @@ class Knowledge:
             self._needed_mm = max(self._needed_mm, wider_mm)
 
     def _may_come(self, gap_mm: float) -> bool:
-        """Whether no more than may come leaves an opening so far above the threshold until it is answered."""
+        """Whether an opening so far above the threshold lets out less than the room before it is answered."""
         passes = self.valve.passes(self.shape.threshold_mm + gap_mm, LEAST_HOLD_S + SLACK_S)
         return self.strongest * passes < self.room_mg
 
     @property
     def knows_balance(self) -> bool:
-        """Whether anything has been learnt of it."""
+        """Whether anything is known of the balance."""
         return self.balance.fits > 0
 
     def doubt_balance(self, doubt: Doubt) -> None:
-        """What a stable mean said is not what this balance was expected to say."""
+        """Note that a stable mean was far from the expected; the balance then counts as unknown."""
         self.doubt = self.doubt or doubt
-        if not self.balance.adapts:  # that creeps for longer than any model has it
+        if not self.balance.adapts:  # an adapting filter creeps for longer than any model
             self.balance = self.balance.model_copy(update={"fits": 0, "doubt": 1.0})
 
     # --- what is kept ---
 
     def finish(self, reason: Reason, seen: Observation) -> Finish:
-        """The dose's last word, with what was learnt."""
+        """The dose's result, with what was learnt."""
         noise = {"noise_mg": self.noise.quiet_mg, "shaken_noise_mg": self.noise.shaken_mg}
         balance = self.balance.model_copy(update=noise)
-        if reason in ("empty", "no_flow"):  # an empty cone says nothing of a width
+        if reason in ("empty", "no_flow"):  # an empty cone tells nothing about a width
             self._needed_mm = self.belief.narrowest_mm
         return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance, self.doubt)
 
     def _powder(self) -> PowderBelief:
-        """The belief with this dose in it; as it was where no opening has told anything."""
+        """The belief about the powder after this dose; unchanged where no opening has told anything."""
         belief = self.belief
         if not self._ratios:
             return belief
         came_mg, ratios, gaps_mm = zip(*self._ratios, strict=True)
         ratio, gap_mm = np.average((ratios, gaps_mm), axis=1, weights=came_mg).tolist()
         weight = max(LEAST_WEIGHT, 1.0 / (belief.doses + 1.0))
-        # The first dose corrects a guess; only from the second on do doses differ from what was learnt.
+        # The first dose corrects a guess. Only from the second on do doses differ from what was learnt.
         if belief.doses == 0:
             spread = max(belief.spread, GUESSED_SPREAD)
         else:
@@ -369,7 +370,7 @@ class Knowledge:
     def verdict(self, seen: Observation) -> Reason | None:
         """What a stable mean says: done, too much, or None while there is more to dose.
 
-        Too uncertain for any verdict, it is done where it has come to the aim: no time makes it surer.
+        If it is too uncertain for any verdict, the dose is done at the aim, as time makes it no surer.
         """
         request = self.request
         is_untold = acceptance_mg(request.tolerance_mg, seen.uncertainty_mg) < 0.0

@@ -1,4 +1,4 @@
-"""What is asked of one stroke, and of what hand."""
+"""What a stroke is asked to do, and the hand that makes it."""
 
 import math
 from dataclasses import dataclass
@@ -6,22 +6,22 @@ from dataclasses import dataclass
 from scuhand_bt.device_specs.hand import HandSpec
 
 LIP_GAP_MM = 0.1
-"""Between the lip and the wall of a stroke that takes all there is."""
+"""Gap between lip and wall in a stroke that takes all there is."""
 WRIST_TO_FLANGE_MM = 19.0
 
 
 class NoStrokeError(ValueError):
-    """No such stroke is possible in this vessel; its words say why."""
+    """No such stroke is possible in this vessel; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """What is asked of one swing. The rim goes from `open_mm` to `closed_mm` evenly with the lip's way along the wall.
+    """One swing, as asked for.
 
-    The lip meets the wall at the arc length `begin_mm` from the lowest point, negative behind it, or later where the
-    axis would have to be tilted more than `max_tilt_deg`. `heading_deg` is the direction of the swing about the
-    vertical. The lip follows the wall at `gap_mm`; less than 0 presses it into the wall. It leaves the wall at the arc
-    length `end_mm`, or at the edge, if that is nearer.
+    The rim goes from `open_mm` to `closed_mm` evenly along the lip's way on the wall. The lip meets the wall at the arc
+    length `begin_mm` from the lowest point (negative behind it), or later where that needs more tilt than
+    `max_tilt_deg`. It follows the wall at `gap_mm` (below 0 it presses into the wall), and leaves it at `end_mm` or at
+    the edge. `heading_deg` is the swing's direction about the vertical.
     """
 
     open_mm: float
@@ -37,22 +37,22 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Ladle:
-    """The hand as far as a stroke depends on it."""
+    """The hand, as far as a stroke depends on it."""
 
     slant_mm: float = 50.0
     """The sheet's radius."""
     handle_radius_mm: float = 18.0
-    """Of the clamp at the rim, and of what continues the seam from there."""
+    """Radius of the clamp at the rim, and of what continues the seam from there."""
     handle_mm: float = 139.0
-    """From the apex along the seam to the wrist's middle."""
+    """From the apex along the seam to the middle of the wrist."""
     edge_speed_mm_per_s: float = 20.0
-    """Of the sheet's edge along the rim: how fast the cone closes."""
+    """Speed of the sheet's edge along the rim, as the cone closes."""
     rim_limits_mm: tuple[float, float] = (30.0, 95.0)
-    """What the roller makes."""
+    """Diameters that the roller can make."""
 
     @classmethod
     def of(cls, hand: HandSpec) -> "Ladle":
-        """A cell's hand."""
+        """The hand of a cell."""
         return cls(
             hand.sheet_radius_mm,
             hand.mount.clamp_radius_mm,

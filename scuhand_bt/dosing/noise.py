@@ -1,20 +1,20 @@
-"""The noise of a balance's readings: learnt as they come, apart for when the motor shakes."""
+"""The noise of a balance's readings, learnt as they come; apart for when the motor shakes."""
 
 import math
 
 NOISE_GAIN, OUTLIER = 0.05, 12.0
-"""How fast the noise is learnt; a second difference of more standard deviations is no noise."""
+"""Gain at which the noise is learnt; a second difference of more standard deviations is not noise."""
 SECOND = 6.0
-"""Times a reading's variance is that of a second difference: 1 + 4 + 1."""
+"""Variance of a second difference, in variances of a reading: 1 + 4 + 1."""
 CHANGING = 5.0
-"""Nor does a reading tell of it while more is on its way than so many standard deviations."""
+"""With more than this unseen, in standard deviations, a reading tells nothing about noise."""
 
 
 class Noise:
     """Standard deviations of a reading [mg]."""
 
     def __init__(self, quiet_mg: float, shaken_mg: float, readability_mg: float) -> None:
-        """What is believed while the motor is off, and while it runs; digits of `readability_mg` alone make some."""
+        """Start from what is believed with the motor off and running; the digit alone makes some noise."""
         self._least_mg = readability_mg / math.sqrt(12.0)
         self._mg = {False: max(quiet_mg, self._least_mg), True: max(shaken_mg, self._least_mg)}
         self._recent_mg: list[float] = []
@@ -29,9 +29,9 @@ class Noise:
         return self._mg[True]
 
     def learn(self, reading_mg: float, unseen_mg: float, *, shaking: bool) -> float:
-        """What it is by now: from second differences, which a slowly changing mass leaves alone."""
+        """The noise by now [mg], from second differences: a slow change of the mass does not affect them."""
         recent, before_mg = self._recent_mg, self._mg[shaking]
-        if shaking != self._was_shaking:  # the motor starts and stops meanwhile
+        if shaking != self._was_shaking:  # the motor starts or stops in between
             self._was_shaking = shaking
             recent.clear()
             return before_mg

@@ -1,9 +1,8 @@
-"""`adaptive` where the hand takes step commands only: pulses, each weighed.
+"""`adaptive` for a hand that takes step commands only: pulses, each weighed (docs/dosing.md, Step commands).
 
-A pulse is to bring the mean mass x [mg] of which z standard deviations of its surges, of mean mass m, stay within what
-remains (`within`), less for what the flow's coefficient may be off by, and for how pulses alike differ: both are
-standard deviations of logarithms, and the second is seen from pulse to pulse. If the sheet sticks in it, it is not to
-be too much either.
+A pulse aims at the mean mass x [mg] of which z standard deviations of its lumps, of mean mass m, stay within what is
+missing (`within`). It is less for the error of the coefficient and for how equal pulses differ; both are standard
+deviations of logarithms, and the second is measured from pulse to pulse. It is never too much if the sheet sticks.
 """
 
 import math
@@ -17,33 +16,32 @@ from scuhand_bt.dosing.unseen import NARROWER, STUCK_MM
 DEVIATIONS = 2.5
 """z."""
 SCATTER, SCATTER_PULSES = 0.5, 2.0
-"""By how much pulses alike differ, until they have shown it: that counts as so many of them."""
+"""How equal pulses differ at first; this guess counts as SCATTER_PULSES of them."""
 FIRST_MG, FIRST_UNSURE = 40.0, 0.5
-"""The first pulse of a dose is to bring no more; what the coefficient may be off by in it, at least."""
+"""The most that the first pulse of a dose aims at, and the least error of the coefficient in it."""
 GROWS = 6.0
-"""Times the most that a pulse has brought that the next one is to bring, at most: to wider openings the law is
-extrapolated."""
+"""A pulse aims at no more than this many times the largest so far: to wider openings the law is extrapolated."""
 SHAKEN_UNSURE = 1.0
-"""What a coefficient may be off by when the powder is shaken, or harder than before."""
+"""Error of the coefficient when the powder is first shaken, or shaken harder."""
 LEAST_TOLD_MG = 0.1
-"""What a pulse has brought counts as so much at least."""
+"""The least that a pulse counts as having brought."""
 LEAST_UNSURE = 0.15
 LEAST_PULSE_MG, PULSE_S = 0.3, 0.2
-"""No pulse is to bring less; and it is so wide that it brings what it should in such a time."""
+"""The least that a pulse aims at, and the time in which its opening should bring it."""
 LEAST_GAP_MM = 0.1
-"""Above the threshold: the least opening of a pulse."""
+"""The least opening of a pulse, above the threshold."""
 SHORTEST_S, LONGEST_S = 0.05, 3.0
-"""Of the time that a pulse stays open."""
+"""Limits of the time that a pulse stays open."""
 SETTLES = 5.0
-"""Times the balance's lag, after which it has shown what a pulse brought."""
+"""Time until the balance has shown what a pulse brought, in its lags."""
 BARREN_SHARE = 0.2
-"""A pulse that brings less than this share of what was expected brings nothing."""
+"""A pulse that brings less than this share of what was expected was in vain."""
 DOUBTED_PULSES, LOWERED, GIVEN_UP_PULSES = 8, 0.8, 20
-"""After so many barren pulses in a row the coefficient is lowered by a factor; after more the dose ends."""
+"""After so many pulses in vain in a row each lowers the coefficient by LOWERED; after the last number the dose ends."""
 
 
 def within(room_mg: float, surge_mg: float) -> float:
-    """The mean mass x [mg] of which `DEVIATIONS` of its surges stay within the room: x + z sqrt(2 m x) = room."""
+    """The mean mass x [mg] of which `DEVIATIONS` of its lumps stay within the room: x + z sqrt(2 m x) = room."""
     half = DEVIATIONS * math.sqrt(2.0 * surge_mg) / 2.0
     return (math.sqrt(half * half + max(room_mg, 0.0)) - half) ** 2
 
@@ -68,23 +66,23 @@ def pulses(known: Knowledge) -> Generator[Command, Observation, Finish]:
 
 
 class _Sizing:
-    """How large the next pulse is to be, and how hard it is shaken."""
+    """The size of the next pulse, and its vibration."""
 
     def __init__(self, known: Knowledge) -> None:
         self.barren = 0
-        """Pulses in a row that brought nothing."""
+        """Pulses in vain in a row."""
         self._known = known
         self._coefficient, self._unsure = known.reference, max(known.spread, FIRST_UNSURE)
         self._brought_mg = FIRST_MG / GROWS
-        """The most that a pulse has brought."""
+        """The largest pulse so far."""
         self._off: float | None = None
-        """By what the last pulse that brought something was off, as a logarithm."""
+        """Error of the last pulse that brought something, as a logarithm."""
         self._told = SCATTER_PULSES, SCATTER_PULSES * SCATTER**2
-        """So many pulses have told how much they differ; the sum of the squares."""
+        """The number of pulses that have told how they differ, and the sum of squares."""
         self._vibration = 0.0
 
     def pulse(self, remaining_mg: float, room_mg: float) -> Pulse:
-        """The next one, with so much to the aim, and so much to what is too much."""
+        """The next pulse, with `remaining_mg` to the aim and `room_mg` to the limit."""
         known = self._known
         level = shaken(self.barren, room_mg, has_come=self._off is not None)
         vibration = max(known.belief.vibration, level)
@@ -110,7 +108,7 @@ class _Sizing:
         lumps = 2.0 * self._known.bank.surge_mg / expected_mg
         off = math.log(max(gained_mg, LEAST_TOLD_MG) / expected_mg)
         trust = self._unsure**2 / (self._unsure**2 + self._scatter**2 + lumps)
-        if self._off is not None:  # one after another: what they are off by alike is the coefficient's
+        if self._off is not None:  # the difference of two, as what both are off by is the coefficient's error
             count, squares = self._told
             self._told = count + 1.0, squares + max(0.0, (off - self._off) ** 2 / 2.0 - lumps)
         self._off = off
@@ -120,12 +118,12 @@ class _Sizing:
 
     @property
     def _scatter(self) -> float:
-        """By how much pulses alike differ."""
+        """How equal pulses differ, as a logarithm."""
         count, squares = self._told
         return math.sqrt(squares / count)
 
     def _sized(self, aim_mg: float) -> tuple[float, float]:
-        """Opening [mm], and how long it stays so wide [s], of a pulse that is to bring so much."""
+        """Opening [mm] and time [s] of a pulse that should bring `aim_mg`."""
         shape, phi_s = self._known.shape, aim_mg / self._coefficient
         opening_mm = max(shape.opening_mm(phi_s / PULSE_S), shape.threshold_mm + LEAST_GAP_MM)
         opening_mm = min(opening_mm, self._known.request.max_opening_mm)
@@ -133,11 +131,11 @@ class _Sizing:
         return opening_mm, max(SHORTEST_S, min(LONGEST_S, dwell_s))
 
     def _stuck_mg(self, opening_mm: float, dwell_s: float) -> float:
-        """What such a pulse brings where the sheet sticks, and much flows."""
+        """What such a pulse brings if the sheet sticks and much flows."""
         return math.exp(self._scatter) * self._coefficient * self._passes(opening_mm + STUCK_MM, dwell_s)
 
     def _passes(self, opening_mm: float, dwell_s: float) -> float:
-        """Integral of phi [mm^n s], over the valve's way there and back, too."""
+        """The integral of phi [mm^n s], including the valve's way there and back."""
         shape = self._known.shape
         ramps = 2.0 * shape.closing(opening_mm, 0.0, self._known.request.valve_speed_mm_per_s)
         return ramps + shape.value(opening_mm) * dwell_s

@@ -1,20 +1,18 @@
-"""How hard powder that does not come is shaken."""
+"""How hard powder that does not come is shaken (docs/dosing.md, When nothing comes)."""
 
 GENTLE, FULL = 0.4, 1.0
-"""Levels of vibration."""
+"""Levels of vibration, as a share of the motor's full level."""
 SPARED_MG = 20.0
-"""So near to the target a bridge is broken by shutting and opening the valve, while that helps: what is shaken loose
-may be too much."""
+"""With less room than this, bridges are broken by shutting and opening first: shaken powder may be too much."""
 FAR_MG = 200.0
-"""So far from the target whatever is shaken loose is welcome: a cone that gives nothing any more is shaken fully at
-once."""
+"""With more room than this, whatever is shaken loose is welcome, and full vibration comes at once."""
 
 
 def shaken(fruitless: int, room_mg: float, *, has_come: bool) -> float:
-    """The level of vibration after so many openings in a row that brought nothing, with `room_mg` still to come.
+    """The level of vibration after a number of openings in vain in a row, with `room_mg` of room.
 
-    A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully. Where powder has
-    come, and comes no more, sooner than where the sheet may still stick.
+    Shutting and opening breaks most bridges. Once powder has come, vibration begins sooner than while the sheet may
+    still stick.
     """
     if room_mg < SPARED_MG:
         levels: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, GENTLE, GENTLE, GENTLE, FULL)

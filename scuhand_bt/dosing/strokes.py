@@ -1,42 +1,20 @@
-"""Which stroke is made: by what lies in the mortar, and what is wanted in the cone.
+"""Choose the stroke to make in a bowl, and predict what it brings and leaves (docs/scoop.md, How much it takes).
 
-Powder lies across the wall in a thickness t, with g of it below a lip's gap (`bed`). What has fallen back before lips
-that left the wall, b in all, lies high up instead, beside the strip of the strokes that come, which are turned; on a
-wall of the attack's slope beta it slides down where that is steeper than its repose rho. A stroke with half of its rim
-e, in a bed of radius r, is expected to push
+Powder lies across the wall with a thickness t (`bed`). A stroke at a gap g pushes
 
-    density w(e / r) sum(max(0, t - g) dA) + f b,    f = 1 - rho / beta, at least 0.2,
-    w(u) = 2 / pi (asin u + u sqrt(1 - u^2)), at most 1
+    V = density w sum((x - slip) dA) + f b,        x = max(0, t - gap')
 
-w is the strip's share of a disc. Where the sheet, of radius L, is too large for the bowl, of radius R, the axis leans
-beyond level until the lip is past the bottom: the powder is pushed before it, and some slips past. So of a thickness x
-above the gap comes
+with gap' the layer that it leaves, w the share of the bed's disc that the rim's strip covers, b what lies high up
+beside the strip, and f the share of b that is found. Of V a share slides in behind the lip; the rest lies before it as
+a heap.
 
-    x - s,    s = min(SLIPS (L - R), x / 3) where L > R and the lip is off the wall, else 0
+* `_pushed_mg` is V, with `_left_mm`, `slip_mm` and `_found_mg` its terms; `_before_lip` the share before the lip.
+* `_ended`: the lip leaves the wall before that heap reaches the edge; `_falls_back` is the share of V that then stays.
+* `_end_before_it_dips_mm`: it also leaves before the sheet, in a nearly full bowl, pushes powder over the edge.
+* `_deep_enough` chooses the depth, `chosen` the rim.
 
-and the layer is thicker by SLIPS (L - R). In a bowl filled above half its depth the swing cuts a shallow lens, and what
-has been poured back lies on its way whole: there t is that of a heap as steep as its repose, where that brings more.
-The form is ours, and takes powder to stay as it was left; what a source
-really yields of it is learnt from weighing (`cell/believed.py`).
-
-Of what is pushed, V in all, the sheet's slope lets a share slide in behind the lip: none where it is level, at the
-attack beta, and all where it is as steep as the friction on it, delta. The rest lies before the lip, over its width w,
-between the wall and a slope of its own, which is at most its repose rho; where the wall is phi steep its top is higher
-than the lip by no more than
-
-    H = sqrt(2 p V / w / (cot phi + cot rho)),    p = 1 - (phi - beta) / delta, from 0 to 1
-
-The lip leaves the wall before h(phi) + H comes near the edge, over which that would be pushed; where H is 0, a grain
-below it, as beside the lip the rim is higher. Of what lies before it there, p V, the share `FALLS_BACK` stays in the
-mortar. No stroke pushes so much that it would have to leave the wall before the sheet is level.
-
-Behind a lip that leaves a thick layer the sheet dips into the powder as it comes level, near the edge where the stroke
-has begun, and pushes up there what it displaces. So the lip leaves the wall before the apex is as deep in the bed as
-the bed's surface is below the edge, both if it were level, as what strokes have hollowed out is room; where the sheet
-is not level by then, the layer is thicker.
-
-Of a gap of less than a grain, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a
-layer of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
+The model is ours, and takes powder to stay as it was left. What a source really yields is learnt by weighing
+(docs/scoop-belief.md). Masses in mg, lengths in mm.
 """
 
 import math
@@ -57,70 +35,72 @@ from scuhand_bt.quantity import format_mass
 from scuhand_bt.specs import Mortar, Powder
 
 BEHIND_MM = 4.0
-"""The lip comes to the wall so far behind the bed."""
+"""The lip meets the wall this far behind the bed."""
 BEHIND_MIDDLE_MM = 4.0
-"""And so far behind the middle at least, though it comes later where the axis would have to be tilted too much:
-by the height field strokes from there bring 0.8 of what is expected, and those from beyond it 0.7 to nothing."""
+"""And at least this far behind the middle; a rim with which it would come later, for want of tilt, is not used. By the
+height field strokes from here bring 0.8 of what is expected, and later ones 0.7 to nothing."""
 WIDEST_SHARE = 0.92
-"""Of the bore, or of the flat sheet: the widest rim that a stroke begins with."""
+"""The widest rim at the beginning, as a share of the bore or of the flat sheet, whichever is less."""
 CLOSING_MM = 12.0
-"""How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
+"""The rim closes by this in a stroke. That holds the powder, and lifts the handle's clamp over the mortar's edge."""
 RIM_GRID_MM, GAP_GRID_MM, FINE_GRID_MM = 2.0, 0.25, 0.01
-"""Strokes differ by so much at least; gaps by the last where more than is wanted lies between two of the others."""
+"""Grids of rims and gaps; the fine one is used where more than is wanted lies between two gaps."""
 GRAINS_CLEAR, GRAINS_LEAST = 4.0, 1.25
-"""By discrete elements round grains jam in a gap of half of one, and pass in one of one; others are less even. Where a
-layer of so many leaves less than `LITTLE_SHARE` of what is wanted to be taken, it is thinner."""
+"""A layer left is at least GRAINS_CLEAR grains, as grains jam under lower lips: by discrete elements, round grains jam
+in a gap of half a grain and pass in one of one, and others are less even. It may be GRAINS_LEAST where the stroke would
+otherwise bring less than `LITTLE_SHARE` of what is wanted."""
 LITTLE_SHARE = 0.25
 LEFT_SHARE, THICKER_MM = 0.05, 0.5
-"""Of what a stroke would bring, the least that is taken where it would push powder over a full bowl's edge; and in what
-steps such a one is looked for."""
+"""In a nearly full bowl strokes get less deep in steps of THICKER_MM, until one pushes nothing over the edge. One that
+brings less than LEFT_SHARE of the first is not made."""
 SWEPT_SHARE = 0.6
-"""A stroke that takes all there is begins so far up the wall at least: what others have left lies beside them."""
+"""A stroke that takes all begins so far up the wall at least, as what others have left lies beside them."""
 REACHED = 0.85
-"""Of what others have left, the share that a stroke that takes all finds: what lies beside its rim it does not. By the
-height field; ours."""
+"""Share of a bed already scooped from that a stroke which takes all is expected to bring; the rest lies beside its rim.
+Ours, by the height field."""
 FALLS_BACK, FOUND_BESIDE = 0.25, 0.2
-"""Of what lies before a lip that leaves the wall, the share that stays there, 0.24 to 0.33 by the height field in the
-smaller mortar; and of what has fallen back, the share that a stroke finds at least."""
+"""FALLS_BACK: share of what lies before a lip that leaves the wall which stays there (0.24 to 0.33 by the height field
+in the small mortar). FOUND_BESIDE: least share of what has fallen back that a stroke finds."""
 LOOSE_GRAINS = 0.7
-"""Grains whose tops are above the lip go along, and beside a wall grains lie loosely: so much of one, of what is below
-the gap, is not left. By discrete elements beds of 3 to 6 beads were so much thicker than they were heavy."""
+"""The layer left is thinner than the gap by this share of a grain: grains whose tops are above the lip go along, and
+beside a wall grains lie loosely. By discrete elements, from beds of 3 to 6 beads."""
 NEAR_EDGE_MM = 1.0
-"""The lip, and the heap before it, are to be lower than the mortar's edge by this, or by a grain: beside the lip the
-rim is higher, and carries what lies before it over the edge."""
+"""The lip, and the heap before it, stay below the edge by this, or by a grain. Beside the lip the rim is higher, and
+carries what lies before it over the edge."""
 ENDS = 60
-"""Places on the wall that are looked at, from the lowest to the edge."""
+"""Places on the wall that are tried for the lip to leave it."""
 SLIPS = 0.033
-"""By discrete elements: 1.06 g, where without it 1.48 g were expected of a bowl of 35 mm and a sheet of 50 mm."""
+"""What slips past the lip, per mm by which the sheet is larger than the bowl. By one run of discrete elements: 1.06 g
+came where 1.48 g were expected without it (bowl of 35 mm, sheet of 50 mm)."""
 BENT_LIMIT = 1.1
-"""Times the load limit that a stroke of a sheet which bends may bring: loads vary as much."""
+"""The most that a stroke may bring if the sheet bends, in load limits: loads vary as much."""
 SPARE, SPARE_MG = 2.0, 2000.0
-"""Times what is to be dosed that a scoop is to bring, and so much more."""
+"""A scoop is for this multiple of the dose, plus so much."""
 DISCARDED_SPARE_MG = 500.0
-"""So much more where the rest goes to waste, and twice that of a powder that comes only shaken: in dry runs of 50 and
-300 mg less than that of titanium dioxide loses samples, and 250 mg of beads and MSG none."""
+"""So much more where leftovers go to waste, and twice that for a powder that comes only shaken. In dry runs of 50 and
+300 mg less than that lost samples of titanium dioxide; 250 mg lost none of beads and MSG."""
 LAST_SHARE = 1 / 3
-"""Of a load, what a dose is not begun with: the end of it flows badly, and less may be there than is believed."""
+"""The last share of a load, with which no dose is begun: it flows badly, and less than believed may be there."""
 LOAD_AIM = 0.95
-"""Share of the powder's load limit that a scoop aims at, at most: what it collects varies."""
+"""Share of the powder's load limit that a scoop aims at, at most, as loads vary."""
 
 
 def scooped_for_mg(dose_mg: float, powder: Powder, *, is_discarded: bool) -> float:
-    """What a scoop for a dose is to bring: it may be less than expected, and the last third of it flows badly.
+    """The mass that a scoop for a dose should bring: more than the dose, as scoops vary and the last third flows badly.
 
-    What is more costs nothing where it stays for the next dose or goes back; not where it `is_discarded`.
+    A surplus costs nothing where it stays for the next dose or goes back, but does where it `is_discarded`.
     """
     return SPARE * dose_mg + (DISCARDED_SPARE_MG * (1.0 + powder.belief.vibration) if is_discarded else SPARE_MG)
 
 
 def expected_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """What a stroke is expected to bring into the cone."""
+    """The mass that a stroke is expected to bring into the cone."""
     reached = REACHED if stroke.gap_mm <= LIP_GAP_MM and bed.was_scooped_from else 1.0
     return reached * _brings_mg(stroke, bed, sheet_radius_mm)
 
 
 def most_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """What a stroke brings that finds all that it may, also what the last one has missed."""
+    """The mass that a stroke brings if it also finds what the last one has missed."""
     found_mg = 0.0 if bed.if_found is None else _brings_mg(stroke, bed.if_found, sheet_radius_mm)
     return max(found_mg, _brings_mg(stroke, bed, sheet_radius_mm))
 
@@ -130,12 +110,12 @@ def _brings_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def slip_mm(stroke: Stroke, mortar: Mortar, sheet_radius_mm: float) -> float:
-    """How much thicker than its gap what a stroke leaves is; past a lip on the wall nothing slips."""
+    """By how much the layer left is thicker than its gap; a lip on the wall lets nothing slip."""
     return SLIPS * max(0.0, sheet_radius_mm - mortar.bowl_radius_mm) if stroke.gap_mm > LIP_GAP_MM else 0.0
 
 
 def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
-    """What a stroke is expected to leave; what falls back lies beside it."""
+    """The layer that a stroke is expected to leave; what falls back lies beside it."""
     pushed_mg = _pushed_mg(stroke, bed, sheet_radius_mm)
     falls_back_mg = _falls_back(stroke, bed, sheet_radius_mm) * pushed_mg
     beside_mg = bed.beside_mg - _found_mg(stroke, bed, sheet_radius_mm) + falls_back_mg
@@ -152,16 +132,17 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
     )
 
 
-@lru_cache(maxsize=64)  # a tenth of a second each, and asked for once for each question about a bed
+@lru_cache(maxsize=64)  # a tenth of a second each, and asked for by each question about a bed
 def chosen(bed: Bed, ladle: Ladle, wanted_mg: float, widest_mm: float = math.inf) -> Stroke:
-    """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be.
+    """The widest stroke that brings no more than is wanted, as deep as it has to be, with a rim of at most `widest_mm`.
 
-    Its rim is at most `widest_mm`.
+    Raises NoStrokeError where
 
-    NoStrokeError where grains are so coarse that all that may be taken is less than one of them is thick, and where the
-    bowl is so shallow, or so small for the sheet, that the lip leaves it before the sheet is level, whatever is taken;
-    where the lip cannot come to the wall behind its middle; where it is so full that the sheet would push powder over
-    its edge; and where the vessel, the sheet or the handle allow none with any rim.
+    * what may be taken is thinner than one grain,
+    * the bowl is so shallow, or so small for the sheet, that the lip leaves it before the sheet is level,
+    * the lip cannot meet the wall behind the middle,
+    * the bowl is so full that the sheet would push powder over the edge,
+    * or vessel, sheet or handle allow no stroke with any rim.
     """
     sheet_radius_mm, why = ladle.slant_mm, list[NoStrokeError]()
     widest_mm = min(widest_mm, _on_grid(WIDEST_SHARE * min(bed.mortar.bore_mm, 2 * sheet_radius_mm), RIM_GRID_MM))
@@ -180,9 +161,9 @@ def chosen(bed: Bed, ladle: Ladle, wanted_mg: float, widest_mm: float = math.inf
 
 
 def _keeps_what_it_takes(stroke: Stroke, path: StrokePath, vessel: Vessel) -> bool:
-    """Whether the swing goes on until the sheet is level, or the lip is where it is to leave the wall.
+    """Whether the swing goes on until the sheet is level, or the lip is where it should leave the wall.
 
-    Where the handle stops a wide rim before, all slides out again.
+    If the handle stops a wide rim earlier, all slides out again.
     """
     lip_mm, apex_mm = path.lip_mm[path.on_wall][-1], path.apex_mm[path.on_wall][-1]
     out_mm, _, steep = vessel.wall(np.array([min(stroke.end_mm, vessel.to_edge_mm)]))
@@ -191,9 +172,9 @@ def _keeps_what_it_takes(stroke: Stroke, path: StrokePath, vessel: Vessel) -> bo
 
 
 def _within_edge(stroke: Stroke, path: StrokePath, bed: Bed, ladle: Ladle) -> Stroke:
-    """The stroke, or one that ends before the sheet pushes powder over the edge; if it has to be, less deep.
+    """The stroke, ending before the sheet pushes powder over the edge; less deep if it has to be.
 
-    NoStrokeError where such a one brings next to nothing.
+    Raises NoStrokeError where next to nothing would come.
     """
     least_mg = LEFT_SHARE * most_mg(stroke, bed, ladle.slant_mm)
     while (end_mm := _end_before_it_dips_mm(stroke, path, bed)) is None:
@@ -205,10 +186,10 @@ def _within_edge(stroke: Stroke, path: StrokePath, bed: Bed, ladle: Ladle) -> St
 
 
 def _end_before_it_dips_mm(stroke: Stroke, path: StrokePath, bed: Bed) -> float | None:
-    """Where the lip leaves the wall so that the sheet, behind it, pushes nothing over the edge; None for nowhere.
+    """Where the lip leaves the wall so that the sheet behind it pushes nothing over the edge; None for nowhere.
 
-    That is before the apex, where the lip has cut nothing, is as far below the bed, if that were level, as the bed is
-    below the edge; and the sheet is to be level by then.
+    That is before the apex, where the lip has cut nothing, is as far below the bed as the bed is below the edge. Both
+    are taken as level, as what strokes have hollowed out is room. The sheet has to be level by then.
     """
     lip_mm, apex_mm = path.lip_mm[path.on_wall], path.apex_mm[path.on_wall]
     radius_mm, level_mm = bed.mortar.bowl_radius_mm, Bed(bed.mortar, bed.mass_mg, bed.powder).surface_mm
@@ -224,12 +205,12 @@ def _end_before_it_dips_mm(stroke: Stroke, path: StrokePath, bed: Bed) -> float 
 
 
 def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: float) -> Stroke:
-    """As `chosen`, with a rim."""
+    """The stroke of `chosen` for one rim."""
     deepest = across(bed.mortar, bed.radius_mm, open_mm)
     swept_mm = SWEPT_SHARE * bed.mortar.bowl_radius_mm * math.asin(bed.mortar.bore_mm / 2 / bed.mortar.bowl_radius_mm)
     whole = replace(deepest, begin_mm=min(deepest.begin_mm, -_on_grid(swept_mm, RIM_GRID_MM)))
     level_mm = bed.mortar.bowl_radius_mm * math.radians(_attack_deg(deepest, bed.mortar, sheet_radius_mm))
-    # What lies beside comes along at any gap: no less than that can be asked for.
+    # What lies beside comes along at any gap, so no less can be asked for.
     wanted_mg = max(wanted_mg, _found_mg(deepest, bed, sheet_radius_mm))
 
     little_mg = LITTLE_SHARE * min(wanted_mg, bed.mass_mg)
@@ -250,7 +231,7 @@ def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: fl
         raise _never_level(bed.mortar, sheet_radius_mm)
 
     def layered(grains: float, from_mm: float = 0.0, grid_mm: float = GAP_GRID_MM) -> Iterator[Stroke]:
-        """Up to the first that leaves all that lies there: what comes after it is the same."""
+        """Strokes with thicker and thicker layers, up to the first that takes nothing: all after it are the same."""
         for steps in count(math.ceil(max(grains * bed.powder.grain_mm, from_mm) / grid_mm)):
             stroke = replace(deepest, gap_mm=steps * grid_mm)
             yield stroke
@@ -297,13 +278,13 @@ def _never_level(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
 
 
 def across(mortar: Mortar, bed_radius_mm: float, open_mm: float) -> Stroke:
-    """The stroke that takes all that lies no farther than that from the middle, with such a rim, to the edge."""
+    """The stroke that takes all within a bed of this radius, with such a rim, up to the edge."""
     behind_mm = mortar.bowl_radius_mm * math.asin(bed_radius_mm / mortar.bowl_radius_mm) + BEHIND_MM
     return Stroke(open_mm, open_mm - CLOSING_MM, begin_mm=-_on_grid(behind_mm, RIM_GRID_MM))
 
 
 def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """What comes before the lip of a stroke, and into the mouth."""
+    """The mass V that comes before the lip, or into the mouth."""
     above_mg = max(_on_strip_mg(stroke, one, sheet_radius_mm) for one in (bed, bed.if_heaped or bed))
     return above_mg + _found_mg(stroke, bed, sheet_radius_mm)
 
@@ -316,9 +297,9 @@ def _on_strip_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """What a stroke brings if the sheet bends and nothing slips past it: of a thin bed far more than is expected.
+    """The mass that a stroke brings if the sheet bends and nothing slips past: of a thin bed far more.
 
-    If the last one has, too, and its load was poured back, that lies as a heap on its way.
+    If the last stroke has bent, too, and its load was poured back, that lies as a heap on the way.
     """
     beds = (bed, bed.if_heaped or bed, bed.if_more or bed)
     return max(_bent_mg(stroke, one, sheet_radius_mm) for one in beds)
@@ -332,9 +313,9 @@ def _bent_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def _found_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """What a stroke is expected to come upon of what lies beside: one that presses on the wall scrapes it all off.
+    """The mass that a stroke is expected to find of what lies beside; one that presses on the wall finds all.
 
-    Of what the last one has missed little, however well the powder slides: it was not on that one's way, either.
+    Little is found of what the last stroke has missed, however well it slides: it was not on that one's way either.
     """
     if stroke.gap_mm < 0.0:
         return bed.beside_mg
@@ -343,12 +324,12 @@ def _found_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def _left_mm(stroke: Stroke, powder: Powder) -> float:
-    """How much passes under the lip, as the thickness that it has at its bulk density."""
+    """The layer that passes under the lip, as a thickness at bulk density (gap' without the sides)."""
     return stroke.gap_mm - LOOSE_GRAINS * powder.grain_mm if stroke.gap_mm > LIP_GAP_MM else max(0.0, stroke.gap_mm)
 
 
 def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:
-    """With the place where the lip leaves the wall; none where it goes to the edge."""
+    """The stroke, with the place where its lip leaves the wall before the heap reaches the edge."""
     pushed_mg = max(_pushed_mg(stroke, one, sheet_radius_mm) for one in (bed, bed.if_found or bed))
     mortar, volume_mm3 = bed.mortar, pushed_mg / bed.powder.bulk_density_mg_per_mm3
     edge = math.asin(mortar.bore_mm / 2 / mortar.bowl_radius_mm)
@@ -362,20 +343,20 @@ def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:
 
 
 def _before_lip(steep: float, stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """The share of what is pushed that has not slid in where the wall is so steep [rad]."""
+    """The share of what is pushed that has not slid in where the wall has this slope [rad]."""
     attack_deg = _attack_deg(stroke, bed.mortar, sheet_radius_mm)
     return min(1.0, max(0.0, 1.0 - (math.degrees(steep) - attack_deg) / bed.powder.wall_friction_deg))
 
 
 def _attack_deg(stroke: Stroke, mortar: Mortar, sheet_radius_mm: float) -> float:
-    """The attack as it is while the apex is in the bowl; 90 where the sheet is too large for any."""
+    """The attack with the apex inside the bowl; 90 if the sheet is too large for any."""
     with suppress(NoStrokeError):
         return max(stroke.attack_deg, least_attack_deg(mortar.bowl_radius_mm, sheet_radius_mm))
     return 90.0
 
 
 def _falls_back(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """The share of what is pushed that lies on the wall before the lip where that leaves it, below the edge."""
+    """The share of what is pushed that stays on the wall where the lip leaves it; 0 if it goes to the edge."""
     if math.isinf(stroke.end_mm):
         return 0.0
     return FALLS_BACK * _before_lip(stroke.end_mm / bed.mortar.bowl_radius_mm, stroke, bed, sheet_radius_mm)

@@ -1,10 +1,7 @@
-"""The lip-led swing: how a cone takes powder out of a vessel, as a ladle does, by geometry alone.
+"""The lip-led swing: how a cone takes powder out of a vessel, by geometry alone (docs/scoop.md, A stroke).
 
-The mouth leads and the *lip*, the rim's lowest point, follows the wall; the apex, which is the valve, touches nothing.
-
-A stroke begins tilted over the vessel, enters along its first generator, swings its lip along the wall to the edge,
-turns upright about its apex, rising where the handle meets the edge, and rises out. The seam, the slit's generator,
-lies opposite the lip, and the handle continues it. docs/scoop.md has the drawings.
+The mouth leads. The *lip*, the rim's lowest point, follows the wall; the apex, which is the valve, touches nothing. The
+seam (the slit's generator) lies opposite the lip, and the handle continues it.
 
 Frame: origin at the vessel's lowest point, z up; lengths in mm, angles in deg where a name says so.
 """
@@ -22,47 +19,48 @@ from scuhand_bt.dosing.swing_plane import Flat, Floats, Pose
 from scuhand_bt.dosing.vessel import Vessel
 
 TURN_RAD_PER_S = 1.2
-"""Of axis and handle: slower than powder is thrown."""
+"""Turning speed of axis and handle; slow enough to throw no powder."""
 FREE_MM_PER_S = 150.0
-"""Speed of lip and apex at least, where the lip is not on the wall: empty, and then straight up, which tips no load."""
+"""Least speed of lip and apex with the lip off the wall: the cone is empty, or rises straight up."""
 
 
 @dataclass(frozen=True, slots=True)
 class StrokePath:
-    """The poses of a stroke, n of them, in the vessel's frame."""
+    """The n poses of a stroke in the vessel's frame."""
 
     times_s: Floats
-    """(n,): at an even pace of lip, axis and rim; a planner of the arm makes its own."""
+    """(n,): at an even pace of lip, axis and rim. The arm's planner makes its own time law."""
     apex_mm: Floats
     """(n, 3)"""
     axis: Floats
     """(n, 3): unit vectors from the apex up out of the mouth."""
     seam: Floats
-    """(n, 3): unit vectors from the apex along the slit's edge, opposite the lip; the handle goes on that way."""
+    """(n, 3): unit vectors from the apex along the slit's edge, opposite the lip; the handle continues it."""
     rim_mm: Floats
     """(n,): diameters."""
     lip_mm: Floats
-    """(n, 3): the rim's point that leads."""
+    """(n, 3): the rim's leading point."""
     attack_deg: Floats
-    """(n,): between the lip's generator and the wall; only where the lip is on the wall."""
+    """(n,): angle between the lip's generator and the wall; nan with the lip off the wall."""
     on_wall: NDArray[np.bool_]
     """(n,): where the lip follows the wall."""
 
     @property
     def rests(self) -> NDArray[np.bool_]:
-        """(n,): where it is to come to rest: at its ends, and where the lip comes to the wall and where it leaves."""
+        """(n,): where the stroke comes to rest: at both ends, where the lip meets the wall and where it leaves it."""
         changes = np.flatnonzero(np.diff(self.on_wall))
         rests = np.zeros(len(self.times_s), dtype=bool)
         rests[0] = rests[-1] = True
-        # Before the wall the last free pose is a step away: the first on the wall it is, and the last.
+        # The last free pose is one step off the wall, so the rest is at the first pose on the wall, and at the last.
         rests[[k if self.on_wall[k] else k + 1 for k in changes]] = True
         return rests
 
 
 def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
-    """The stroke's poses; NoStrokeError with the reason where the vessel, the sheet or the handle allow none.
+    """The poses of a stroke.
 
-    ValueError for rims that the sheet cannot make.
+    Raises NoStrokeError, with the reason, where vessel, sheet or handle allow none, and ValueError for rims that the
+    sheet cannot make.
     """
     rims_mm = (stroke.open_mm, stroke.closed_mm)
     if not 0 < min(rims_mm) <= max(rims_mm) < 2 * ladle.slant_mm:
@@ -80,7 +78,7 @@ def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
 
 @lru_cache(maxsize=64)
 def _poses(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> tuple[Pose, ...]:
-    """In the plane of the swing, the same whatever its heading."""
+    """The poses in the plane of the swing, the same for each heading."""
     flat = Flat(vessel, stroke, ladle)
     scrape = flat.scrape()
     return (*flat.enter(scrape[0]), *scrape, *flat.leave(scrape[-1]))
@@ -110,7 +108,7 @@ def _in_space(poses: Sequence[Pose], stroke: Stroke, ladle: Ladle) -> StrokePath
 
 
 def _times_s(poses: Sequence[Pose], lip_mm: Floats, stroke: Stroke, ladle: Ladle) -> Floats:
-    """Each step as quick as the slowest of lip, apex, axis, and the sheet's edge."""
+    """Times of the poses: each step takes as long as the slowest of lip, apex, axis and the sheet's edge."""
     apex_mm = np.array([pose.apex_mm for pose in poses])
     rims_mm = np.array([pose.rim_mm for pose in poses])
     half_rad = np.arcsin(rims_mm / (2 * ladle.slant_mm))
@@ -131,7 +129,7 @@ def _times_s(poses: Sequence[Pose], lip_mm: Floats, stroke: Stroke, ladle: Ladle
 
 
 def headings_deg(count: int, first_deg: float = 0.0) -> Iterator[float]:
-    """The headings of several strokes turned about the vertical: each as far from those before it as it can be."""
+    """Headings of successive strokes, each as far from those before it as possible."""
     for k in range(count):
         bits = f"{k:b}"[::-1]
         yield (first_deg + 360.0 * sum(int(bit) / 2 ** (place + 1) for place, bit in enumerate(bits))) % 360.0

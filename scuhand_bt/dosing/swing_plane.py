@@ -1,18 +1,17 @@
-"""The lip-led swing in its upright plane: how apex and axis go along with the lip, and what is clear of the vessel.
+"""The lip-led swing in its upright plane: the poses of apex and axis, and their clearance (docs/scoop.md, The angles).
 
-In the upright plane of the swing, for a lip at a place of the wall that is phi steep:
+For a lip P where the wall has the slope phi:
 
-    g inclined by phi - beta        generator from the apex to the lip; beta: attack angle between it and the wall
-    theta + phi = 90 deg + beta - alpha        theta tilt of the cone's axis from upright, alpha half-angle of the cone
-    A = P - L g                     apex: wherever alpha goes while the sheet closes, it depends on lip and attack alone
+    generator from apex to lip      inclined by phi - beta, with beta the attack angle between it and the wall
+    theta + phi = 90 deg + beta - alpha        theta tilt of the axis from upright, alpha half-angle of the cone
+    A = P - L (cos(phi - beta), sin(phi - beta))        the apex, whatever alpha is
 
 The apex stays c clear of a bowl of radius R where
 
     sin beta >= (L^2 + 2 R c - c^2) / (2 R L)
 
-(from |A - C|^2 = R^2 - 2 R L sin beta + L^2, C the bowl's centre): 34.8 deg for a sheet of 50 mm, 3 mm clear, in a bowl
-of 48.75 mm. A flatter attack is possible only as long as the apex is still above the vessel's edge. So the attack is
-the one that is asked for, or as much more as keeps the apex and the rest of the sheet clear of the vessel.
+A flatter attack is possible only while the apex is above the vessel's edge. So the attack is the one asked for, or as
+much more as keeps the apex and the rest of the sheet clear.
 """
 
 import math
@@ -28,41 +27,41 @@ from scuhand_bt.dosing.vessel import Vessel
 Floats = NDArray[np.float64]
 
 APEX_CLEAR_MM = 3.0
-"""The apex is never nearer to the vessel than this."""
+"""Least distance of the apex from the vessel."""
 STEP_MM = 1.0
-"""The lip's way between two poses of a path, at most."""
+"""Largest step of the lip between two poses."""
 STEP_DEG = 1.5
-"""The axis' turn between two poses of a path, at most."""
+"""Largest turn of the axis between two poses."""
 OVER_EDGE_MM = 10.0
-"""How far above the vessel's edge a stroke begins and ends."""
+"""Height above the vessel's edge at which a stroke begins and ends."""
 OVER_VESSEL_MM = 15.0
-"""And how far its lip is then within the bore, at least."""
+"""Least distance of the lip within the bore at that height."""
 ATTACK_GRID_DEG = 0.25
 COARSELY = 8
-"""Steps of that grid that are taken at once at first."""
+"""The grid of attacks is searched in steps of so many first."""
 STEEPEST_DEG = 88.0
 WRIST_RADIUS_MM = 45.0
 HANDLE_GAP_MM = 3.0
 CLAMP_MM = 10.0
-"""The clamp reaches so far from the rim towards the apex."""
+"""Length of the clamp, from the rim towards the apex."""
 RISING = 25
 """Poses on the way up out of the vessel."""
 ENTRIES = 5
-"""Ways in that are tried, from the first generator's to straight down."""
+"""Ways in that are tried, from along the first generator to straight down."""
 LEVEL_ENTRY = 0.2
 """Sine of the flattest way in."""
 AROUND_EDGE = 37
-"""Points of half of the vessel's edge, inside and outside."""
+"""Points on half of the vessel's edge, inside and outside each."""
 EVENED_MM = 8.0
-"""The lip's way over which a change of the attack is spread, before and behind."""
+"""A change of the attack is spread over so much of the lip's way, before and behind."""
 ROUNDING_MM = 1e-6
-"""What is reckoned for many apexes at once may differ by this from what it is for one: that one is looked at."""
+"""Rounding of results for many apexes at once; nearer than this to the limit, an apex is looked at singly."""
 SLACK_MM = 0.05
-"""The sheet beside the lip may be so much nearer to the wall than the lip itself."""
+"""The sheet beside the lip may be nearer to the wall than the lip by this."""
 
 
 def least_attack_deg(bowl_radius_mm: float, slant_mm: float, clear_mm: float = APEX_CLEAR_MM) -> float:
-    """The flattest attack in a bowl that keeps the apex clear while it is inside; NoStrokeError where none does."""
+    """The flattest attack that keeps the apex clear within a bowl; raises NoStrokeError where none does."""
     sine = (slant_mm**2 + 2 * bowl_radius_mm * clear_mm - clear_mm**2) / (2 * bowl_radius_mm * slant_mm)
     if sine > 1:
         raise NoStrokeError(f"a sheet of {slant_mm:g} mm is too large for a bowl of {bowl_radius_mm:g} mm radius")
@@ -70,7 +69,7 @@ def least_attack_deg(bowl_radius_mm: float, slant_mm: float, clear_mm: float = A
 
 
 def fitting_rim_mm(bowl_radius_mm: float, slant_mm: float, attack_deg: float) -> float:
-    """The rim that scrapes a bowl's whole width: L sin alpha = R cos(alpha - beta), as wide as the wall's section."""
+    """The diameter of a rim that scrapes a bowl's whole width: L sin alpha = R cos(alpha - beta)."""
     beta = math.radians(attack_deg)
     alpha = math.atan2(math.cos(beta), slant_mm / bowl_radius_mm - math.sin(beta))
     return 2 * slant_mm * math.sin(alpha)
@@ -78,7 +77,7 @@ def fitting_rim_mm(bowl_radius_mm: float, slant_mm: float, attack_deg: float) ->
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """One pose in the plane of the swing: the apex (along the heading, up), tilt, rim, and attack while on the wall."""
+    """A pose in the plane of the swing: apex (along the heading, up), tilt, rim diameter, and attack if on the wall."""
 
     apex_mm: tuple[float, float]
     tilt_rad: float
@@ -98,7 +97,7 @@ def _half_angle_rad(rim_mm: float, slant_mm: float) -> float:
 
 
 class Flat:
-    """The stroke in the plane of its swing, its clearances in space."""
+    """A stroke in the plane of its swing; clearances are those in space."""
 
     def __init__(self, vessel: Vessel, stroke: Stroke, ladle: Ladle) -> None:
         self._vessel, self._stroke, self._ladle = vessel, stroke, ladle
@@ -118,7 +117,7 @@ class Flat:
     # Along the wall ---------------------------------------------------------------------------------
 
     def scrape(self) -> list[Pose]:
-        """The lip along the wall, from its beginning to its end or the edge, or to where the cone is upright."""
+        """The poses with the lip on the wall, up to the stroke's end, the edge, or where the cone is upright."""
         stroke, vessel = self._stroke, self._vessel
         end_mm = min(stroke.end_mm, vessel.to_edge_mm)
         count = math.ceil((end_mm - stroke.begin_mm) / STEP_MM) + 1
@@ -137,7 +136,7 @@ class Flat:
         ]
         poses = self._longest(poses)
         max_tilt = math.radians(stroke.max_tilt_deg)
-        # Where it cannot begin, it begins further on: a shorter stroke, but still one.
+        # A stroke that cannot begin here begins further on, and is shorter.
         begin = next(
             (k for k, pose in enumerate(poses) if pose.tilt_rad <= max_tilt and self._entry(pose) is not None),
             len(poses),
@@ -151,7 +150,7 @@ class Flat:
         return poses
 
     def _longest(self, poses: list[Pose]) -> list[Pose]:
-        """The run of poses across most of the vessel in which nothing touches and the cone is not tipped backwards."""
+        """The longest run of poses in which nothing touches and the cone does not tip backwards."""
         runs: list[list[Pose]] = [[]]
         for pose, is_clear in zip(poses, self._clear(poses, with_handle=True), strict=True):
             if pose.tilt_rad >= 0.0 and is_clear:
@@ -162,13 +161,13 @@ class Flat:
         return max(runs, key=lambda run: run[-1].lip_mm(slant_mm)[0] - run[0].lip_mm(slant_mm)[0] if run else -1.0)
 
     def _attacks(self, lips_mm: Floats, steep: Floats, rims_mm: Floats) -> Floats:
-        """The attack [rad] at each lip: as asked, or as much more as keeps apex and sheet clear; it changes gently.
+        """The attack [rad] at each lip: as asked, or as much more as keeps apex and sheet clear, changing gently.
 
-        Where none does, it is as asked, and the pose is none that the stroke can use.
+        Where no attack is clear it is as asked, and the stroke cannot use that pose.
         """
         grid = np.radians(np.arange(self._stroke.attack_deg, STEEPEST_DEG + ATTACK_GRID_DEG, ATTACK_GRID_DEG))
         needed = self._least(lips_mm, steep, rims_mm, grid)
-        # The largest nearby, and then the mean of those: never less than is needed, and without a jump.
+        # The largest nearby, then the mean of these: never less than is needed, and without a jump.
         reach = max(1, round(EVENED_MM / STEP_MM))
         padded = np.pad(needed, 2 * reach, mode="edge")
         window = 2 * reach + 1
@@ -177,18 +176,18 @@ class Flat:
         return evened
 
     def _least(self, lips_mm: Floats, steep: Floats, rims_mm: Floats, grid: Floats) -> Floats:
-        """At each lip the first attack of a grid [rad] that is clear, looked for roughly before exactly; or its first.
+        """At each lip, the first attack of a grid [rad] that is clear, or the grid's first if none is.
 
-        Of all lips at once: one pose costs hardly less than a hundred.
+        All lips are handled at once, as one pose costs hardly less than a hundred.
         """
-        # Of most attacks the apex alone tells that they are not.
+        # For most attacks that are not clear, the apex alone shows it.
         inclines, slant_mm = steep[:, None] - grid, self._ladle.slant_mm
         along_mm, up_mm = lips_mm[:, :1] - slant_mm * np.cos(inclines), lips_mm[:, 1:] - slant_mm * np.sin(inclines)
         apexes_mm = np.stack([along_mm, np.zeros_like(along_mm), up_mm], axis=-1)
         may_be = self._vessel.clearance_mm(apexes_mm) > APEX_CLEAR_MM - ROUNDING_MM
 
         def clear(lips: NDArray[np.intp], attacks: NDArray[np.intp]) -> NDArray[np.bool_]:
-            """(n,): which of these lips are clear, each with an attack of the grid."""
+            """(n,): which of these lips are clear with these attacks of the grid."""
             is_clear = may_be[lips, attacks]
             tried = zip(lips[is_clear], attacks[is_clear], strict=True)
             is_clear[is_clear] = self._clear(
@@ -219,18 +218,18 @@ class Flat:
     # In and out -------------------------------------------------------------------------------------
 
     def enter(self, first: Pose) -> list[Pose]:
-        """Down along the first generator, or as much steeper as it must be, from where the lip is over the vessel.
+        """The way down along the first generator, or as much steeper as is needed, from a lip over the vessel.
 
-        There what the cone still held falls into it.
+        What the cone still holds falls into the vessel there.
         """
         entry = self._entry(first)
-        assert entry is not None  # as the wall's first pose is one that can be entered
+        assert entry is not None  # the wall's first pose was chosen so
         return entry
 
     def _entry(self, first: Pose) -> list[Pose] | None:
         lip_mm = first.lip_mm(self._ladle.slant_mm)
         incline = math.atan2(first.apex_mm[1] - lip_mm[1], first.apex_mm[0] - lip_mm[0])
-        # Not at all where it is there already: above a full vessel's edge, with a lip that leaves a thick layer.
+        # 0 if it is above the edge already: a full vessel, and a lip that leaves a thick layer.
         up_mm = max(0.0, self._vessel.depth_mm + OVER_EDGE_MM - min(lip_mm[1], first.apex_mm[1]))
         for back in np.linspace(incline, math.pi / 2, ENTRIES).tolist():
             if math.sin(back) < LEVEL_ENTRY:
@@ -249,7 +248,7 @@ class Flat:
         return None
 
     def leave(self, last: Pose) -> list[Pose]:
-        """Upright about the apex, rising where something would touch, and out."""
+        """Turn upright about the apex, rising only where something would touch, and rise out."""
         poses: list[Pose] = []
         along_mm, up_mm = last.apex_mm
         for tilt in np.linspace(last.tilt_rad, 0.0, max(2, math.ceil(math.degrees(last.tilt_rad) / STEP_DEG) + 1)):
@@ -270,11 +269,11 @@ class Flat:
     # What is clear ----------------------------------------------------------------------------------
 
     def _clear(self, poses: Sequence[Pose], *, with_handle: bool = False) -> NDArray[np.bool_]:
-        """(n,): whether apex and sheet, and the handle, keep from the vessel what they are to keep."""
+        """(n,): whether apex and sheet, and the handle if asked, keep their distances from the vessel."""
         if not poses:
             return np.zeros(0, dtype=bool)
         half_rad = [_half_angle_rad(pose.rim_mm, self._ladle.slant_mm) for pose in poses]
-        # Of Python's own: numpy's differ in the last digit, with how many there are.
+        # Python's functions, as numpy's differ in the last digit with the length of the array.
         turned = np.array(
             [
                 (math.sin(pose.tilt_rad), math.cos(pose.tilt_rad), math.sin(alpha), math.cos(alpha), *pose.apex_mm)
@@ -289,7 +288,7 @@ class Flat:
         return is_clear
 
     def _from_edge_mm(self, turned: Floats) -> Floats:
-        """(n,): how far the sheet is from the vessel's edge, which may come between its points; negative within it."""
+        """(n,): distance of the sheet from the vessel's edge, which its points may straddle; negative within."""
         sine, cosine, sine_half, cosine_half, apex_x_mm, apex_z_mm = turned.T[:, :, None]
         slant_mm = self._ladle.slant_mm
         x_mm, y_mm, z_mm = self._edge_mm[:, 0] - apex_x_mm, self._edge_mm[:, 1], self._edge_mm[:, 2] - apex_z_mm
@@ -304,7 +303,7 @@ class Flat:
     def _points_mm(self, turned: Floats, with_handle: bool) -> Floats:
         """(n, m, 3): the apex, points of the sheet, and of the handle; y across the swing.
 
-        `turned` (n, 6) has each pose's sine and cosine of the tilt and of the half angle, and the apex.
+        `turned` (n, 6) has, per pose, sine and cosine of the tilt and of the half-angle, and the apex.
         """
         sine, cosine, sine_half, cosine_half, x_mm, z_mm = turned.T[:, :, None]
         slants_mm = self._ladle.slant_mm * self._shares[:, None]

@@ -1,7 +1,7 @@
-"""What an opening lets out before it is seen: how wide it may begin for that, and how long it may last.
+"""What an opening lets out before it is seen: how wide it may begin, and how long it may last (docs/dosing.md).
 
-A sheet sticks as it bends, and a flow is stronger than believed; either is seen when the balance has shown it. Where
-readings are rare an opening ends before the next one tells.
+A sheet may stick as it bends, and a flow may be stronger than believed; either shows only after the balance's delay.
+With rare readings, an opening ends before the next one tells.
 """
 
 import math
@@ -14,41 +14,41 @@ from scuhand_bt.dosing.estimation import EXPONENT_ERROR, UNKNOWN_ERROR_MM
 from scuhand_bt.dosing.knowledge import HARDLY_EVER, LEAST_HOLD_S, Knowledge
 
 STUCK_MM = 0.3
-"""Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
+"""About once in a hundred openings the sheet sticks, and then lets go wider by this."""
 STRONG = 0.5
-"""How much more of the flow it is allowed for then, at most."""
+"""The most by which a stronger flow is allowed for then, as a share of k_ref."""
 SEEN_S, SEEN_READINGS = 0.4, 2
-"""So long after the balance's delay, and so many readings, it is seen whether the sheet has stuck."""
+"""Time after the balance's delay, and number of readings, in which a stuck sheet is noticed."""
 NARROWER = 0.95
-"""Openings that are compared to begin with are each so much narrower than the one before."""
+"""Factor between successive beginning widths that are tried."""
 HOLDS = 12
-"""So many durations are compared."""
+"""Durations that are compared."""
 
 
 def sees_s(known: Knowledge) -> float:
-    """So long beside the balance's delay something must last to be seen."""
+    """How long something must last, besides the balance's delay, to be seen."""
     return max(SEEN_S, SEEN_READINGS * known.request.balance_period_s)
 
 
 def seen_s(known: Knowledge) -> float:
-    """So long after an opening began it is seen whether the sheet has stuck."""
+    """How long after an opening began a stuck sheet is noticed."""
     return known.bank.delay_s + sees_s(known)
 
 
 def stuck_mg(known: Knowledge, opening_mm: float, open_s: float) -> float:
-    """What an opening lets out that is shut after so long, where the sheet has stuck."""
+    """The mass [mg] that an opening lets out in `open_s` and until it is shut, if the sheet has stuck."""
     return _strong(known) * known.valve.passes(opening_mm + STUCK_MM, open_s)
 
 
 def _strong(known: Knowledge) -> float:
-    """The flow's coefficient that a sheet which sticks is allowed for with."""
+    """The coefficient allowed for if the sheet sticks."""
     return max(known.reference * (1.0 + min(known.spread, STRONG)), known.seen)
 
 
 def begins_mm(known: Knowledge, most_mg: float) -> float:
-    """How wide an opening may be until it is seen: so that `most_mg` are not exceeded if it sticks, or the narrowest.
+    """The widest beginning [mm] with which `most_mg` is not exceeded before it is seen; the narrowest if none.
 
-    Nor if the sheet has not stuck, and the flow is as strong as it hardly ever is.
+    That holds if the sheet sticks, and if it does not but the flow is as strong as one in 200.
     """
     opening_mm = known.request.max_opening_mm
     while opening_mm > known.least_mm and _unseen_mg(known, opening_mm) > most_mg:
@@ -57,7 +57,7 @@ def begins_mm(known: Knowledge, most_mg: float) -> float:
 
 
 def _unseen_mg(known: Knowledge, opening_mm: float) -> float:
-    """What an opening may let out before it is seen, where exponent and threshold may be off by as much as they may."""
+    """The mass [mg] that an opening may let out before it is seen, with the errors of exponent and threshold."""
     until_s, gap_mm = seen_s(known), max(opening_mm - known.shape.threshold_mm, known.gap_mm)
     by_threshold = known.shape.exponent * UNKNOWN_ERROR_MM * (1.0 / known.gap_mm - 1.0 / gap_mm)
     off = math.hypot(EXPONENT_ERROR * math.log(gap_mm / known.gap_mm), by_threshold)
@@ -67,10 +67,9 @@ def _unseen_mg(known: Knowledge, opening_mm: float) -> float:
 
 
 def hold_s(known: Knowledge, opening_mm: float, most_mg: float) -> float:
-    """How long the constraint lets an opening last that no reading ends before; until the next at the most.
+    """How long [s] an opening may last by the constraint; until the next reading at most.
 
-    On a balance that tells readings rarely the narrowest may let out too much until then, and one that begins may
-    be of a sheet that sticks.
+    With rare readings, even the narrowest may let out too much until then; and in a new opening the sheet may stick.
     """
     period_s, valve, bank = known.request.balance_period_s, known.valve, known.bank
     if period_s <= LEAST_HOLD_S:

@@ -1,9 +1,9 @@
-"""Where the valve is, as far as its commands tell: a dead time, then a constant speed.
+"""Where the valve is, by dead reckoning from its commands: a dead time, then constant speed.
 
     D(t) -> D_target at v [mm/s], from `dead_time_s` after the command;    phi(D) = max(0, D - D0)^n
 
-phi is what the flow follows, q = k phi(D), with the threshold D0 [mm] and exponent n of the powder
-(Beverloo's law has n = 2.5). Its integral while the valve shuts is the tail that every prediction needs.
+The flow is q = k phi(D), with the powder's threshold D0 [mm] and exponent n (Beverloo's law has n = 2.5). The integral
+of phi while the valve shuts is the tail of every prediction.
 """
 
 from collections import deque
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 GRAIN_S = 0.02
-"""The integral of phi is taken in pieces of about this length."""
+"""Step of the numerical integral of phi."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,17 +23,17 @@ class FlowShape:
     exponent: float
 
     def value(self, opening_mm: float) -> float:
-        """phi in mm^n."""
+        """phi [mm^n]."""
         gap_mm = opening_mm - self.threshold_mm
         return float(gap_mm**self.exponent) if gap_mm > 0.0 and opening_mm > 0.0 else 0.0
 
     def slope(self, opening_mm: float) -> float:
-        """phi's derivative, in mm^(n-1)."""
+        """phi's derivative [mm^(n-1)]."""
         gap_mm = opening_mm - self.threshold_mm
         return self.exponent * self.value(opening_mm) / gap_mm if gap_mm > 0.0 else 0.0
 
     def opening_mm(self, value: float) -> float:
-        """The opening with this phi."""
+        """The opening [mm] with this phi."""
         return self.threshold_mm + float(max(value, 0.0) ** (1.0 / self.exponent))
 
     def swept(self, from_mm: float, to_mm: float) -> tuple[float, float]:
@@ -43,14 +43,14 @@ class FlowShape:
         return (high_mm**more - low_mm**more) / more, high_mm**self.exponent - low_mm**self.exponent
 
     def closing(self, opening_mm: float, dead_time_s: float, speed_mm_per_s: float) -> float:
-        """Integral of phi [mm^n s] from the command to shut until it is shut."""
+        """The integral of phi [mm^n s] from the command to shut until the valve is shut."""
         more = self.exponent + 1.0
         ramp = max(opening_mm - self.threshold_mm, 0.0) ** more / (more * speed_mm_per_s)
         return float(self.value(opening_mm) * dead_time_s + ramp)
 
 
 class ValvePath:
-    """The valve's servo, followed by dead reckoning from the commands given."""
+    """The valve's servo, by dead reckoning from its commands."""
 
     def __init__(self, shape: FlowShape, dead_time_s: float, speed_mm_per_s: float) -> None:
         self.opening_mm = 0.0
@@ -62,13 +62,13 @@ class ValvePath:
         self._going_to = 0.0
 
     def command(self, time_s: float, opening_mm: float) -> None:
-        """Remember a command given at this time."""
+        """Note a command given at this time."""
         if opening_mm != self.target_mm:
             self.target_mm = opening_mm
             self._commands.append((time_s + self._dead_time_s, opening_mm))
 
     def advance(self, from_s: float, to_s: float) -> tuple[float, float]:
-        """Move on; the integrals of phi [mm^n s] and of its slope [mm^(n-1) s] over that time."""
+        """Move on to `to_s`; returns the integrals of phi [mm^n s] and of its slope [mm^(n-1) s] over that time."""
         moves = bool(self._commands) or self.opening_mm != self._going_to
         pieces = max(1, round((to_s - from_s) / GRAIN_S)) if moves else 1
         dt_s = (to_s - from_s) / pieces
@@ -87,14 +87,14 @@ class ValvePath:
         return phi_s, slope_s
 
     def passes(self, opening_mm: float, open_s: float) -> float:
-        """Integral of phi [mm^n s] from an opening until it is shut, which it is told to be after so long."""
+        """The integral of phi [mm^n s] over an opening: open for `open_s`, then told to shut, until it is shut."""
         tail_s = self.shape.closing(opening_mm, self._dead_time_s, self._speed_mm_per_s)
         return self.shape.value(opening_mm) * open_s + tail_s
 
     def passing(self, shape: FlowShape, opening_mm: float, open_s: float) -> tuple[float, float]:
-        """The integrals of phi and its slope until it is shut, if it is told to be so wide now, and shut after so long.
+        """The integrals of phi and its slope if told to open so wide now and to shut after `open_s`, until it is shut.
 
-        It may have to turn round on its way.
+        The valve may have to turn round on its way.
         """
         reach_mm = self._speed_mm_per_s * open_s
         top_mm = min(max(opening_mm, self.opening_mm - reach_mm), self.opening_mm + reach_mm)
@@ -105,7 +105,7 @@ class ValvePath:
         return phi_s, slope_s
 
     def closing(self, wait_s: float) -> tuple[float, float]:
-        """The integrals of phi and its slope until it is shut, if it is told to in `wait_s`."""
+        """The integrals of phi and its slope if told to shut in `wait_s`, until it is shut."""
         phi, slope = self.shape.value(self.opening_mm), self.shape.slope(self.opening_mm)
         slope_s = slope * (self._dead_time_s + wait_s) + phi / self._speed_mm_per_s
         return self.passes(self.opening_mm, wait_s), slope_s

@@ -2,8 +2,8 @@
 
     |W - W*| <= T - k u(W),     k = 2
 
-W* target, T tolerance, W net mass, u(W) its standard uncertainty [mg]. What is accepted is in tolerance although the
-measurement may be off by its expanded uncertainty: a guard band as wide as that uncertainty (JCGM 106:2012, 8.3.2).
+W* target, T tolerance, W net mass, u(W) its standard uncertainty [mg]. The guard band is as wide as the expanded
+uncertainty (JCGM 106:2012, 8.3.2).
 """
 
 import math
@@ -11,14 +11,14 @@ import math
 from scuhand_bt.specs import Verdict
 
 COVERAGE = 2.0
-"""k: so many standard uncertainties of the tolerance are left to the measurement; about 95 % (JCGM 100:2008, 6.3.3)."""
+"""k, the coverage factor; about 95 % (JCGM 100:2008, 6.3.3)."""
 
 LIKELY = 0.9
-"""Samples that are less likely in tolerance than this are warned of."""
+"""`check` warns of samples that are less likely in tolerance than this."""
 
 
 def judge(target_mg: float, tolerance_mg: float, net_mg: float, uncertainty_mg: float) -> Verdict:
-    """What a net mass with this standard uncertainty says of a dose."""
+    """The verdict on a net mass with this standard uncertainty."""
     error_mg = net_mg - target_mg
     if abs(error_mg) <= acceptance_mg(tolerance_mg, uncertainty_mg):
         return "in tolerance"
@@ -26,14 +26,14 @@ def judge(target_mg: float, tolerance_mg: float, net_mg: float, uncertainty_mg: 
 
 
 def acceptance_mg(tolerance_mg: float, uncertainty_mg: float) -> float:
-    """How far from the target a net mass may be; negative where the measurement cannot tell the tolerance."""
+    """How far from the target a net mass may be; negative where no verdict is possible."""
     return tolerance_mg - COVERAGE * uncertainty_mg
 
 
 def chance_with_lumps(tolerance_mg: float, lump_mg: float) -> float:
-    """How often a dose of lumps can end within its tolerance, whatever shuts the valve, if no lump is broken.
+    """Probability that a dose of unbroken lumps ends within its tolerance, whatever shuts the valve.
 
-    Lumps have exponential masses with this mean. The one that passes W* - T goes beyond by as much again, whatever came
-    before it: P = 1 - exp(-2 T / lump).
+    Lumps have exponential masses with this mean. The one that passes W* - T exceeds that by as much again, whatever
+    came before it: P = 1 - exp(-2 T / lump).
     """
     return 1.0 - math.exp(-2.0 * tolerance_mg / lump_mg) if lump_mg > 0.0 else 1.0

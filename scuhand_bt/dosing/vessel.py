@@ -1,11 +1,10 @@
-"""The inside of a vessel that powder is scooped from: a floor, a corner that is part of a circle, a wall.
+"""The inside of a vessel that powder is scooped from: floor, corner and wall, as one profile turned about the vertical.
 
     bowl (a cap of a sphere)     floor 0,                 corner R = (a^2 + h^2) / 2h
-    beaker or jar (a cylinder)   floor a - corner,        corner as wide as it is moulded
+    beaker or jar (a cylinder)   floor a - corner,        corner as it is moulded
 
-a radius of the bore [mm], h depth [mm]. Both are one profile turned about the vertical: it runs level along the
-floor, rises along the corner's arc, and goes straight up the wall to the edge. A place on it is an arc length s [mm]
-from its lowest point, negative on the other side; phi is how steep it is there.
+a radius of the bore, h depth [mm]. The profile runs level along the floor, rises along the corner's arc, and goes
+straight up the wall to the edge. A place on it is an arc length s [mm] from the lowest point, negative on the far side.
 
 Frame: origin at the vessel's lowest point, z up; lengths in mm.
 """
@@ -23,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Vessel:
-    """A vessel's inside and its outer diameter. ValueError for one that is no such vessel."""
+    """A vessel's inside and outer diameter. Raises ValueError where the sizes do not fit each other."""
 
     bore_mm: float
     """Inner diameter at the edge."""
@@ -32,7 +31,7 @@ class Vessel:
     corner_mm: float
     """Radius of the arc between floor and wall; of the sphere, for a bowl."""
     floor_mm: float
-    """How far the level floor reaches from the middle; 0 for a bowl."""
+    """Radius of the level floor; 0 for a bowl."""
     outer_mm: float
     """Outer diameter."""
 
@@ -44,7 +43,7 @@ class Vessel:
 
     @classmethod
     def bowl(cls, bore_mm: float, depth_mm: float, outer_mm: float) -> "Vessel":
-        """A cap of a sphere; ValueError for one that is more than half of it."""
+        """A cap of a sphere; raises ValueError for more than half a sphere."""
         if depth_mm > bore_mm / 2:
             raise ValueError("a bowl is a cap of a sphere: its depth is at most half its bore")
         radius_mm = ((bore_mm / 2) ** 2 + depth_mm**2) / (2 * depth_mm)
@@ -52,7 +51,7 @@ class Vessel:
 
     @classmethod
     def cylinder(cls, bore_mm: float, depth_mm: float, outer_mm: float, corner_mm: float = 5.0) -> "Vessel":
-        """A flat bottom and an upright wall; ValueError for a corner that it has no room for."""
+        """A level floor and an upright wall; raises ValueError for a corner that does not fit."""
         if not 0 < corner_mm <= min(depth_mm, bore_mm / 2):
             raise ValueError(f"a corner of {corner_mm:g} mm does not fit a bore of {bore_mm:g} and {depth_mm:g} mm")
         return cls(bore_mm, depth_mm, corner_mm, bore_mm / 2 - corner_mm, outer_mm)
@@ -66,7 +65,7 @@ class Vessel:
 
     @property
     def _corner_rad(self) -> float:
-        """How steep the corner's arc gets: upright, or less where the edge cuts it."""
+        """Slope at the end of the corner's arc: upright, or less where the edge cuts it."""
         return math.acos(max(0.0, 1 - self.depth_mm / self.corner_mm))
 
     @property
@@ -80,7 +79,7 @@ class Vessel:
         return self.floor_mm + arc_mm + max(0.0, self.depth_mm - self.corner_mm)
 
     def wall(self, s_mm: Floats) -> tuple[Floats, Floats, Floats]:
-        """Along the profile, at arc lengths (n,): how far out [mm], how high [mm], how steep [rad]; (n,) each."""
+        """The profile at arc lengths (n,): distance from the axis [mm], height [mm] and slope [rad]; (n,) each."""
         along_mm, side = np.abs(s_mm), np.sign(s_mm)
         steep = np.clip((along_mm - self.floor_mm) / self.corner_mm, 0.0, self._corner_rad)
         straight_mm = np.minimum(along_mm, self.floor_mm)
@@ -90,9 +89,9 @@ class Vessel:
         return side * out_mm, high_mm, side * steep
 
     def clearance_mm(self, points_mm: Floats) -> Floats:
-        """How far points (..., 3) are from the vessel, negative within its wall: (...).
+        """Distance of points (..., 3) from the vessel, negative within its wall: (...).
 
-        Above the edge only the edge and the top of the wall count, which are the nearest there of what matters.
+        Above the edge only the edge and the wall's top count, as nothing else there is near.
         """
         out_mm = np.hypot(points_mm[..., 0], points_mm[..., 1])
         high_mm = points_mm[..., 2]

@@ -1,7 +1,7 @@
-"""Motion of the arm: collision-free, jerk-limited and spill-safe, planned in milliseconds and proven.
+"""Motion of the arm: collision-free, jerk-limited and spill-safe, planned in milliseconds and proven (docs/motion.md).
 
-`kinematics` and `inverse` are numpy alone; `MotionPlanner` is imported on first use, because Pinocchio, coal and
-Ruckig take half a second to load and checking a recipe needs none of them.
+`kinematics` and `inverse` need only numpy. `MotionPlanner` is imported on first use, because Pinocchio, coal and
+Ruckig take half a second to load and checking a recipe does not need them.
 """
 
 from typing import TYPE_CHECKING

@@ -1,16 +1,16 @@
-"""What is asked for from rest to rest, answered once: an empty cone's motions, and loads'.
+"""Answers to requests for motions from rest to rest, of an empty cone or a load. Each is planned once.
 
-Between two places, where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan,
-the motion over the bare pan is taken where it is proven free there too.
+Between two places, where the arm goes again and again, the empty cone's motion is polished. It is planned over the
+bare pan, and also used with something on the pan if it is proven free of that.
 
-A load is planned for by a ladder of limits; of all their motions, and the empty cone's, each as quick as the load's own
-limit lets it be, the quickest is taken. So a load that may lean more is never slower, whatever was asked before.
-The loosest limit comes first, and each is searched from scratch: what is found is mostly as quick as the stricter ones
-are allowed to be, and ends the ladder.
+A load is planned for by a ladder of spill limits, the rungs (docs/motion.md, "Loads"). The motions of all rungs up to
+its own, and the empty cone's, are each timed for the load's own limit, and the quickest is taken. So a load that may
+lean more is never slower, whatever was asked before. The loosest rung is searched first, as its motion is mostly good
+enough to end the ladder.
 
-An answer is kept, in memory and on disk, unless patience has ended its search: that one depends on the machine.
+Answers are kept in memory and on disk. Those cut short by `Patience` are not, as they depend on the machine.
 
-Joints in radians, shape (7,), goals (n, 7), limits of loads in degrees. SkillFailed arm.no_path and
+Joints in radians, shape (7,), goals (n, 7), spill limits in degrees. Raises SkillFailed arm.no_path and
 arm.start_in_collision.
 """
 
@@ -36,27 +36,28 @@ from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, standing
 from scuhand_bt.motion.transfer import ATTEMPTS, POLISHED, PREPARED, AtHand, Effort
 
 SURE = 1.01
-"""A load's motion that takes no more than this over the least that any other may take is not improved on."""
+"""A load's motion within this factor of the least that any other rung may take ends the search."""
 NEAR_OPTIMUM = 1.15
-"""Of the empty cone's motion that a load's is measured by: a direct one within this of the bound will do."""
+"""A load is measured by a motion of the empty cone; a direct one within this factor of the bound suffices for that."""
 RUNGS = {10.0: 1.10, 20.0: 1.07, 30.0: 1.04, 45.0: 1.02}
-"""The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
-share them. Between two of them, and below the first, their motions are slowed. And what each one's motions take at
-least, over the empty cone's: so the stricter ones need no search where a looser one's is as quick."""
+"""The spill limits [deg] that loads are planned for: those up to a load's own limit, and always the first. Similar
+loads share them; in between, and below the first, motions are slowed. The values are the least duration of a rung's
+motions, relative to the empty cone's. So stricter rungs need no search if a looser one is already as quick."""
 STRICTEST_DEG = min(RUNGS)
 PLANS_KEPT = 256
+"""How many answers are kept in memory."""
 
 Found = TypeVar("Found", bound=JointTrajectory)
 
 
 def _rungs_up_to(limit_deg: float) -> list[float]:
-    """The rungs of a load's own limit, the loosest first."""
+    """The rungs up to a load's own limit, the loosest first."""
     return [rung_deg for rung_deg in reversed(RUNGS) if rung_deg <= max(limit_deg, STRICTEST_DEG)]
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """What is asked for, but for a load: `name` is what its goal is called."""
+    """A request without the load; `name` is what messages call its goal."""
 
     begin: Floats
     goals: Floats
@@ -65,20 +66,20 @@ class Way:
     effort: Effort
     patience: Patience = field(default_factory=Patience)
     pose: ApexPose | None = None
-    """Whose configurations the goals are."""
+    """The pose whose configurations the goals are, if any."""
 
     def request(self, spill_limit_deg: float | None) -> Request:
-        """What its answer is kept by."""
+        """The key under which its answer is kept."""
         return Request.of(self.begin, self.goals, self.geometry, spill_limit_deg, self.effort)
 
     @property
     def back(self) -> "Way":
-        """The same between two configurations, from the goal to where it begins."""
+        """The reverse request between two configurations."""
         return replace(self, begin=self.goals[0], goals=self.begin[None, :])
 
 
 class Answers:
-    """The answers of one cell. `mount_of` is how the hand holds a geometry's cone."""
+    """The answers of one cell. `mount_of` gives the mount for a geometry's cone."""
 
     def __init__(
         self,
@@ -97,7 +98,7 @@ class Answers:
         return self._found(self._kept(way, None), way)
 
     def loaded(self, way: Way, spill_limit_deg: float) -> StoppableTrajectory:
-        """A load's."""
+        """A load's motion."""
 
         def made() -> StoppableTrajectory:
             return self._pace.stoppable(self._carried(way, spill_limit_deg), self._mount_of(way.geometry))
@@ -112,13 +113,13 @@ class Answers:
     # Loads ------------------------------------------------------------------------------------------
 
     def _carried(self, way: Way, spill_limit_deg: float) -> JointTrajectory:
-        """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest.
+        """The quickest of the empty cone's motion and those of all rungs, each timed for this limit.
 
-        No rung's motion is quicker than its floor: one that is begins later by what it is quicker.
+        No rung's motion is quicker than its floor: one that is begins later by the difference.
         """
-        # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
-        # the last of them is within SURE of the floors of the rest, which grow with strictness: so a looser limit is
-        # never slower by more.
+        # All motions of a stricter limit are among these, where they are no quicker. What ends the search early is
+        # within SURE of the floors of the remaining rungs, as floors grow with strictness. So a looser limit is never
+        # slower by more than SURE.
         rungs_deg = _rungs_up_to(spill_limit_deg)
         empty, mount = self._emptied(way), self._mount_of(way.geometry)
         bound_s = float(rest_to_rest_s(way.goals - way.begin, self._pace.rates).min())
@@ -132,28 +133,26 @@ class Answers:
             if motion is not None and (best is None or max(floor_s, motion.duration_s) < best.duration_s):
                 best = begun_later(motion, floor_s - motion.duration_s)
         if best is None and spill_limit_deg > rungs_deg[0]:
-            # What lost its program or its power on its way may lean more than the rungs let it, and within its limit.
+            # After an interruption the load may lean more than the rungs allow, though not more than its own limit.
             best = self._pace.timed(self._kept(way, spill_limit_deg), mount, spill_limit_deg)
         return self._found(best, way).keeping(spill_limit_deg)
 
     def _floor_s(self, empty: JointTrajectory | None, limit_deg: float) -> float:
-        """What no motion of a rung, or of a limit above it, takes less than; 0 where there is no empty cone's to
-        measure it by.
-        """
+        """The floor of a rung's motions [s], also for limits above it; 0 without an empty cone's motion."""
         quickest = self._pace.quick(empty)
         return 0.0 if quickest is None else RUNGS[_rungs_up_to(limit_deg)[0]] * quickest.duration_s
 
     def _emptied(self, way: Way) -> StoppableTrajectory | None:
-        """The empty cone's motion that a load's is measured by: looked for longer than for its own sake."""
+        """The empty cone's motion that a load is measured by. It is searched for longer than for its own sake."""
         closer = replace(way.effort, near_optimum=min(way.effort.near_optimum, NEAR_OPTIMUM))
         return self._kept(replace(way, effort=closer), None)
 
     # Answers that are kept --------------------------------------------------------------------------
 
     def _kept(self, way: Way, spill_limit_deg: float | None) -> StoppableTrajectory | None:
-        """The plan of a request, made once; None where no way is found. SkillFailed where an end of it is not free.
+        """The plan of a request, made once; None if no way is found. Raises SkillFailed if an end is not free.
 
-        Between two configurations it is made in one direction only.
+        Between two configurations only one direction is planned.
         """
         if self._between_places(way):
             way = replace(way, effort=POLISHED if spill_limit_deg is None else PREPARED)
@@ -163,7 +162,7 @@ class Answers:
             is_reversed = len(way.goals) == 1 and key.goals < key.begin
             if is_reversed:
                 self._require_free_ends(way)
-                # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
+                # A reversed motion has the same path, limits and accelerations, so it needs no new proof.
                 there = self._kept(way.back, spill_limit_deg)
                 return None if there is None else self._pace.stoppable(there.reversed(), mount)
             found = self._from_store(key)
@@ -173,7 +172,7 @@ class Answers:
                     self._store.keep(key.written, found, is_common=self._between_places(way))
             if found is None:
                 return None
-            # A load's is made as slow as the servos ask for with its own limit.
+            # A load's motion is slowed for the servos later, together with its own limit.
             return self._pace.stoppable(self._pace.borne(found, mount) if spill_limit_deg is None else found, mount)
 
         def is_final() -> bool:
@@ -182,7 +181,7 @@ class Answers:
         return self._plans.of(key, made, is_final)
 
     def _from_store(self, request: Request) -> JointTrajectory | None:
-        """The kept plan of a request, if it is all that a plan of it has to be."""
+        """The stored plan of a request, if it satisfies everything that a new plan would."""
         limit_deg, geometry = request.spill_limit_deg, request.geometry
         motion = self._store.found(request.written, limit_deg) if self._store is not None else None
         if motion is None or not is_whole(motion, self._pace.rates, self._mount_of(geometry), limit_deg):
@@ -195,7 +194,7 @@ class Answers:
         return motion if scene.proves(motion) else None
 
     def _planned(self, way: Way, spill_limit_deg: float | None) -> JointTrajectory | None:
-        """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
+        """A new plan; or the one for the usual geometry, if it is proven free of the container or zones here."""
         if way.geometry != (bare := way.geometry.usual) and self._between_places(way):
             over_bare_pan = self._kept(replace(way, geometry=bare), spill_limit_deg)
             if over_bare_pan is not None and self._scenes.of(way.geometry).proves(over_bare_pan):
@@ -205,13 +204,13 @@ class Answers:
         return self._planned_for_load(way, spill_limit_deg)
 
     def _planned_for_load(self, way: Way, rung_deg: float) -> JointTrajectory | None:
-        """A rung's motion. The simplest searches are enough where they, or others, have found one."""
+        """A rung's motion. Only simple searches are made if they, or other rungs, have found one."""
         empty, mount = self._emptied(way), self._mount_of(way.geometry)
         floor_s, will_do = self._floor_s(empty, rung_deg), self._pace.timed(empty, mount, rung_deg) is not None
         at_hand = AtHand(least_s=floor_s, enough_s=SURE * floor_s, will_do=will_do, patience=way.patience)
         if rung_deg == STRICTEST_DEG:
             return self._searched(way, rung_deg, replace(at_hand, attempts=2 * ATTEMPTS))
-        # Not begun from a stricter rung's motion, which is level and may be so slow that improving on it stands still.
+        # Not started from a stricter rung's motion, which is level and may be too slow to be improved on.
         if (quick := self._searched(way, rung_deg, replace(at_hand, is_quick=True))) is not None:
             return quick
         stricter_deg = max(one for one in RUNGS if one < rung_deg)

@@ -1,6 +1,6 @@
-"""The arm and the hand of a URDF, checked: joints, limits, shapes, and how its inverse kinematics is solved.
+"""The arm and hand of a URDF, checked: joints, limits, shapes, and how its inverse kinematics is solved.
 
-Pinocchio reads `<capsule>` only from URDF version 1.1 and drops it silently otherwise: shapes are counted.
+Pinocchio reads `<capsule>` only from URDF version 1.1 and drops it silently otherwise, so shapes are counted.
 
 Positions in metres, configurations in radians, shape (n, 7).
 """
@@ -21,27 +21,28 @@ from scuhand_bt.motion.near_links import meeting, neighbours
 from scuhand_bt.motion.timelaw import RateLimits
 
 CONE = "cone"
-"""What the sheet's shapes are named after."""
+"""The name of the sheet's shapes."""
 CLAMP_M = 0.02
-"""How far the clamp reaches along the handle."""
+"""Length of the clamp along the handle."""
 BALL_STEP_M = 0.004
+"""Step to which the radius of a cone's enclosing ball is rounded up, so that cones of all sizes share one."""
 SHEET_M = 0.002
-"""Sheet and play, added to the cone's radius."""
+"""Thickness of sheet and play, added to the cone's radius."""
 
 
 class MismatchedCellError(ValueError):
-    """What a cell says of its arm, under `key` of `arm:`, is not so by the URDF."""
+    """What a cell says of its arm under `key` of `arm:` contradicts the URDF."""
 
     def __init__(self, key: str, what: str, unknown: str = "", known: Iterable[str] = ()) -> None:
         super().__init__(what)
         self.key, self.unknown, self.known = key, unknown, tuple(known)
-        """A name that there is not, and those that there are."""
+        """A name that does not exist, and those that do."""
 
 
 class Arm:
-    """The arm and hand of a URDF, checked: joints, limits, shapes, and its closed form.
+    """The arm and hand of a URDF: joints, limits, shapes and inverse kinematics.
 
-    ValueError, with what is wrong, for a URDF that is not this arm.
+    Raises ValueError with the reason for a URDF that does not describe this arm.
     """
 
     def __init__(self, urdf: str, spec: ArmSpec | None = None) -> None:
@@ -57,7 +58,7 @@ class Arm:
         self.limits_rad = _windows_rad(self.model, spec)
         axis = np.array(spec.tool_axis) / np.linalg.norm(spec.tool_axis)
         self.tool = pin.SE3(_with_z(axis), np.array(spec.flange_mm) / 1e3)
-        """The flange in the last joint's frame, its z along the handle."""
+        """The flange in the last joint's frame, with z along the handle."""
         self.decomposed: DecomposedArm | None = None
         if spec.kinematics == "decomposed":
             relaxed_rad = tuple(np.radians(spec.relaxed_deg).tolist())
@@ -84,7 +85,7 @@ class Arm:
         self._meeting = meeting(self.model, self.shapes, list(neighbours(self.shapes, own, own)), self.limits_rad)
 
     def _check_closed_form(self) -> None:
-        """Whether the closed form is this arm's: ValueError where Pinocchio has its flange elsewhere."""
+        """Raises ValueError if the closed form and Pinocchio disagree about the flange."""
         data = self.model.createData()
         low, high = self.limits_rad if self.decomposed is not None else LIMITS_RAD
         for q in np.linspace(low * 0.9, high * 0.7, 5):
@@ -101,7 +102,7 @@ class Arm:
         return int(self.model.njoints) - 1
 
     def require_names(self, obstacles: Sequence[str]) -> None:
-        """ValueError where a pair of `may_touch` names what is neither the arm's nor one of these obstacles."""
+        """Raises MismatchedCellError if a pair of `may_touch` names neither the arm's parts nor an obstacle."""
         own = {name for thing in self.shapes.geometryObjects for name in _called(thing.name)} | {CONE, "clamp"}
         for pair in self.may_touch:
             if len(pair) == 1 or not pair & own:
@@ -112,14 +113,14 @@ class Arm:
                 raise MismatchedCellError("may_touch", what, unknown, [*own, *obstacles])
 
     def is_looked_at(self, first: str, second: str) -> bool:
-        """Whether two shapes by these names must not touch."""
+        """Whether two shapes with these names must not touch."""
         return not any(
             (one in _called(first) and other in _called(second)) or (other in _called(first) and one in _called(second))
             for one, other in map(tuple, self.may_touch)
         )
 
     def near_pairs(self, shapes: pin.GeometryModel) -> list[tuple[int, int]]:
-        """Of this arm's shapes with clamp and cones after them, the pairs of neighbouring links that may meet."""
+        """The pairs of neighbouring links that may meet, for this arm's shapes followed by clamp and cones."""
         own, sheet = range(self.shapes.ngeoms), range(self.shapes.ngeoms, shapes.ngeoms)
         pairs = list(neighbours(shapes, own, sheet))
         if not pairs or self._is_far(shapes):
@@ -127,13 +128,13 @@ class Arm:
         return [*self._meeting, *meeting(self.model, shapes, pairs, self.limits_rad)]
 
     def _is_far(self, shapes: pin.GeometryModel) -> bool:
-        """Whether no cone of this hand, of any size, comes near those links: by a ball around them, once for a hand."""
+        """Whether no cone of this hand, of any size, comes near those links; tested once with an enclosing ball."""
         around = pin.GeometryModel(self.shapes)
         for held in shapes.geometryObjects.tolist()[self.shapes.ngeoms :]:
             if held.name.startswith(CONE):
                 tip_m = held.placement.translation + held.geometry.halfLength * held.placement.rotation[:, 2]
                 slant_m = math.hypot(held.geometry.radius, 2 * held.geometry.halfLength)
-                ball = coal.Sphere(math.ceil(slant_m / BALL_STEP_M) * BALL_STEP_M)  # the same one for all sizes
+                ball = coal.Sphere(math.ceil(slant_m / BALL_STEP_M) * BALL_STEP_M)
                 held = pin.GeometryObject("ball", self._last, pin.SE3(np.eye(3), tip_m.round(6)), ball)
             around.addGeometryObject(held)
         added = around.geometryObjects.tolist()[self.shapes.ngeoms :]
@@ -146,7 +147,7 @@ class Arm:
     def with_sheet(
         self, hand: HandSpec, diameters_mm: Sequence[float], margin_mm: float = 1e3 * SHEET_M
     ) -> pin.GeometryModel:
-        """The arm's shapes with the clamp that holds the sheet, and cones of these rims, all that a motion forms."""
+        """The arm's shapes, the clamp that holds the sheet, and cones with all the rims that a motion forms."""
         apex_m, slant_m = hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3
         shapes = pin.GeometryModel(self.shapes)
         x_m, y_m = (beside_mm / 1e3 for beside_mm in hand.apex_aside_mm)
@@ -164,7 +165,7 @@ class Arm:
 
 
 def _called(name: str) -> tuple[str, ...]:
-    """What a shape can be called in a cell: its name, its link's, and every cone's."""
+    """The names by which a cell can refer to a shape: its own, its link's, and "cone" for every cone."""
     return (name, name.rsplit("_", 1)[0], name.split(" ")[0])
 
 
@@ -173,7 +174,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _with_z(z: Floats) -> Floats:
-    """A turn whose third column this is."""
+    """A rotation matrix with this third column."""
     other = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     y = np.cross(z, other)
     y /= np.linalg.norm(y)
@@ -181,7 +182,7 @@ def _with_z(z: Floats) -> Floats:
 
 
 def _windows_rad(model: pin.Model, spec: ArmSpec) -> Floats:
-    """The joints' windows (2, n): the URDF's, as narrow as the cell has them; ValueError for what is no window."""
+    """The joints' windows (2, n): the URDF's, narrowed by the cell. Raises ValueError if one is empty or too wide."""
     low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     names = list(model.names)[1:]
     for name, (low_deg, high_deg) in spec.windows_deg.items():

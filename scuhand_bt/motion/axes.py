@@ -1,6 +1,6 @@
-"""What one device follows of a motion of more axes than its own.
+"""The part of a motion that one device follows, if the motion has more axes than the device.
 
-Arm and roller follow parts of one motion: told to stop at the same moment of it, both come to rest by the same law.
+Arm and roller follow parts of one motion. Told to stop at the same moment, both come to rest by the same law.
 
 Angles [rad], times [s].
 """
@@ -14,7 +14,7 @@ from scuhand_bt.motion.trajectory import JointTrajectory
 
 
 class Sampled(Protocol):
-    """What is somewhere at every time."""
+    """Has a position at every time."""
 
     def sample(self, time_s: float) -> Floats: ...
 
@@ -29,7 +29,7 @@ class Course(Sampled, Protocol):
 
 
 class SomeAxes:
-    """Some axes of a motion of more: what one device follows of it; stopped at the same moment, all stop alike."""
+    """Some axes of a larger motion, for one device. If stopped at the same moment, all parts stop alike."""
 
     def __init__(self, whole: Course, axes: slice, zero_rad: float = 0.0) -> None:
         self._whole, self._axes, self._zero_rad = whole, axes, zero_rad
@@ -43,7 +43,7 @@ class SomeAxes:
         return sampled
 
     def at(self, times_s: Floats) -> Floats:
-        """The same at many times (m,): (m, n)."""
+        """Positions at many times (m,): (m, n)."""
         return at_times(self._whole, times_s)[:, self._axes] - self._zero_rad
 
     def stopped_from(self, at_s: float) -> "SomeAxes":
@@ -55,17 +55,17 @@ class SomeAxes:
 
 
 def at_times(course: Sampled, times_s: Floats) -> Floats:
-    """Where a course is at many times (m,): (m, n). Of our own motions all at once, which is far quicker."""
+    """Positions of a course at many times (m,): (m, n). Vectorised for our own motions."""
     if isinstance(course, JointTrajectory | SomeAxes):
         return course.at(times_s)
     return np.array([course.sample(time_s) for time_s in times_s.tolist()])
 
 
 def of_arm(whole: Course) -> SomeAxes:
-    """What the arm does in a stroke."""
+    """The arm's part of a stroke."""
     return SomeAxes(whole, slice(0, -1))
 
 
 def of_roller(whole: Course) -> SomeAxes:
-    """What the roller does in a stroke, counted from the flat sheet."""
+    """The roller's part of a stroke, counted from the flat sheet."""
     return SomeAxes(whole, slice(-1, None))

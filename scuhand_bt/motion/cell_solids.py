@@ -1,9 +1,9 @@
 """What stands in the cell, as solids: the bench's geometry, the mortars, the container on the pan.
 
-Elsewhere a mortar is a full cylinder. While its powder is scooped it is hollow: rings of boxes around
-the spherical bowl of radius R = (a^2 + h^2) / 2h (a: half the bore, h: depth), or around the floor,
-corner and upright wall of a jar, each ring as wide inside as that is at the ring's lower edge, so
-that the boxes never reach less far than the wall.
+A mortar is a full cylinder, except while its powder is scooped: then it is hollow, made of rings of boxes. They
+surround the spherical bowl of radius R = (a^2 + h^2) / 2h (a: half the bore, h: depth), or the floor, corner and
+upright wall of a jar. Each ring is as wide inside as the vessel is at the ring's lower edge, so that the boxes never
+leave part of the wall uncovered.
 
 Metres and radians, base frame.
 """
@@ -25,7 +25,7 @@ _AROUND_M = 1e-3
 
 
 def solids_of(obstacles: Iterable[Obstacle]) -> list[Solid]:
-    """What `robot/cell.yaml` describes; ValueError for an obstacle that is not one shape, or no sound mesh."""
+    """The obstacles of `robot/cell.yaml` as solids. ValueError for one without exactly one shape, or a bad mesh."""
     solids = []
     for obstacle in obstacles:
         if (obstacle.box_mm, obstacle.cylinder_mm, obstacle.mesh).count(None) != 2:
@@ -56,7 +56,7 @@ def full_mortar(station: Station, mortar: Mortar) -> Solid:
 
 
 def around(station: Station, mortar: Mortar) -> Solid:
-    """What encloses all parts of a hollow mortar, by a millimetre: their corners, a floor thinner than its own."""
+    """A cylinder that encloses all parts of a hollow mortar, corners included, with a millimetre to spare."""
     x, y, z = (value / 1e3 for value in station.position_mm)
     wide_m, height_m = mortar.outer_diameter_mm / 1e3 / math.cos(math.pi / _SIDES), mortar.height_mm / 1e3
     size_m = (wide_m + 2 * _AROUND_M, height_m + 2 * _AROUND_M)
@@ -64,7 +64,7 @@ def around(station: Station, mortar: Mortar) -> Solid:
 
 
 def hollow_mortar(station: Station, mortar: Mortar) -> list[Solid]:
-    """The mortar open from above."""
+    """The mortar, open at the top."""
     x, y, z = (value / 1e3 for value in station.position_mm)
     outer_m = mortar.outer_diameter_mm / 2e3
     height_m, depth_m = mortar.height_mm / 1e3, mortar.depth_mm / 1e3
@@ -85,7 +85,7 @@ def hollow_mortar(station: Station, mortar: Mortar) -> list[Solid]:
 
 
 def _inside_m(mortar: Mortar, high_m: float) -> float:
-    """Half of how wide a mortar is inside, so high above its lowest point."""
+    """Inner radius of a mortar at a height above its lowest point."""
     if mortar.corner_mm is None:
         radius_m = mortar.bowl_radius_mm / 1e3
         return math.sqrt(max(0.0, radius_m**2 - (radius_m - high_m) ** 2))
@@ -95,7 +95,7 @@ def _inside_m(mortar: Mortar, high_m: float) -> float:
 
 
 def are_in_each_other(first: Solid, second: Solid) -> bool:
-    """Whether two solids overlap. Of a mesh its surface counts: what is all within one is not seen."""
+    """Whether two solids overlap. Of a mesh only the surface counts, so a solid wholly inside one is not noticed."""
     found, asked = coal.CollisionResult(), coal.CollisionRequest()
     asked.security_margin = SMALLEST_MARGIN_M
     places = [coal.Transform3s(at.rotation, at.translation) for at in (first.placement(), second.placement())]
@@ -104,7 +104,7 @@ def are_in_each_other(first: Solid, second: Solid) -> bool:
 
 
 def container(station: Station, kind: ContainerKind) -> Solid:
-    """What stands on the pan, as one cylinder: dispensing happens above its mouth, never in it."""
+    """What stands on the pan, as one cylinder: dispensing happens above its mouth, never inside."""
     x, y, z = (value / 1e3 for value in station.position_mm)
     height_m = kind.height_mm / 1e3
     diameter_m = (kind.mouth_mm + 2 * _CONTAINER_WALL_MM) / 1e3

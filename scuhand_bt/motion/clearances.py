@@ -1,4 +1,4 @@
-"""How far near things are from each other, and how that changes with the joints: what a local optimum is found by.
+"""Distances of near pairs and their gradients with respect to the joints, for local optimisation.
 
 Distances [m], negative inside; configurations [rad] (m, n).
 """
@@ -14,14 +14,15 @@ from scuhand_bt.motion.decomposed import joint_axes
 from scuhand_bt.motion.kinematics import Floats
 
 NEAR_M = 0.04
+"""Pairs nearer than this are constraints."""
 WATCHED_M = 0.1
-"""What is farther away is not looked at again for a while."""
+"""Pairs farther apart than this are ignored until the next `watched`."""
 _TOUCHING_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """Of k near pairs: at which of the configurations (k,), how far apart (k,), the gradients (k, n)."""
+    """Near pairs: index of the configuration (k,), distance (k,), and gradient (k, n)."""
 
     at: NDArray[np.int_]
     distances_m: Floats
@@ -29,7 +30,7 @@ class Near:
 
 
 class Clearances:
-    """Those of one scene."""
+    """Computes them for one scene."""
 
     def __init__(self, scene: Scene) -> None:
         self._model, self._shapes = scene.model, scene.shapes
@@ -39,7 +40,7 @@ class Clearances:
         self._axes = np.array(joint_axes(scene.model))
 
     def watched(self, q: Floats) -> list[list[int]]:
-        """The pairs that are near, or nearly, at each of the configurations (m, n)."""
+        """The indices of pairs closer than `WATCHED_M`, for each of the configurations (m, n)."""
         found = []
         for one in q:
             pin.computeDistances(self._model, self._data, self._shapes, self._shape_data, one)
@@ -48,7 +49,7 @@ class Clearances:
         return found
 
     def near(self, q: Floats, watched: list[list[int]]) -> Near:
-        """Of the pairs that are watched at each of the configurations (m, n), those that are near."""
+        """Among the watched pairs at each of the configurations (m, n), those that are near."""
         at, pairs = list[int](), list[int]()
         rows, frames = list[list[float]](), list[Floats]()
         results = self._shape_data.distanceResults
@@ -62,7 +63,7 @@ class Clearances:
                     pairs.append(pair)
                     points = (*result.getNearestPoint1(), *result.getNearestPoint2(), *result.normal)
                     rows.append([result.min_distance, *points])
-            # The base's frame is the first.
+            # The first frame is the base's.
             frames.append(np.array([placed.homogeneous for placed in list(self._data.oMi)[1:]]) if some else np.eye(0))
         if not at:
             return Near(np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, q.shape[1])))
@@ -70,7 +71,11 @@ class Clearances:
         return Near(np.array(at), values[:, 0], self._gradients(values, placed, self._parents[pairs]))
 
     def _gradients(self, values: Floats, placed: Floats, parents: NDArray[np.int_]) -> Floats:
-        """From distances, nearest points and normals (k, 10), the joints' frames (k, n, 4, 4) and the pairs' joints."""
+        """Gradients (k, n) of distances, with respect to the joints.
+
+        From distances, nearest points and normals (k, 10), the joints' frames (k, n, 4, 4) and the joints of each pair
+        (k, 2).
+        """
         distances_m, first, second, normals = values[:, 0], values[:, 1:4], values[:, 4:7], -values[:, 7:]
         apart = first - second
         lengths_m = np.linalg.norm(apart, axis=1)

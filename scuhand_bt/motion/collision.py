@@ -1,14 +1,15 @@
-"""What touches what: the arm's shapes against each other and the cell, and a proof for whole motions.
+"""Collisions of the arm with itself and the cell, and a proof for whole motions (docs/motion.md, "No contact").
 
-Where each sample keeps a clearance of m from everything, and between two samples every point of the
-arm passes within m of where it was at one of them (`swept_bound`), no point is ever farther than m from where
-it has been proven free: *nothing can touch in between*. A curve over time sampled every h seconds may
-miss the line between its samples by a h^2/8 per joint (a: its acceleration), which is added.
+If each sample keeps a clearance of m from everything, and between two samples every point of the arm passes within m
+of its position at one of them (`swept_bound`), then *nothing can touch in between*. A curve over time, sampled every h
+seconds, may leave the line between its samples by a h^2/8 per joint (a: its acceleration), which is added.
 
-This module and `arm_model` also hold every trap of the libraries below them. Unknown names give no error:
-look-ups here raise. Data made before a model changed ends the process: models are complete before
-their data. With a security margin of zero coal misses real penetrations: the margin is never zero.
-Pools copy their models: a scene is built anew for new geometry and never edited.
+This module and `arm_model` also contain every trap of the libraries below them:
+
+* Unknown names give no error, so look-ups here raise.
+* Data made before a model changed crash the process, so models are complete before their data are made.
+* With a security margin of zero coal misses real penetrations, so the margin is never zero.
+* Pools copy their models, so a scene is never edited: new geometry needs a new scene.
 
 Positions in metres, configurations in radians, shape (n, 7).
 """
@@ -34,11 +35,11 @@ SMALLEST_MARGIN_M = 1e-4
 _FIRST_SAMPLES = 12
 _LOOKED_AT_ONCE = 64
 _FOREMOST = (CONE, "fore_0")
-"""The shapes that hit most of what is hit: where the cone is widest, and the arm above it."""
+"""The shapes with most of the hits: the cone where it is widest, and the arm above it."""
 _GLANCED_AT = np.array([0.5, 0.25, 0.75, 0.12, 0.37, 0.62, 0.88, 0.06, 0.19, 0.31, 0.44, 0.56, 0.69, 0.81, 0.94])
-"""Of the samples of a curve, those that are looked at first: as shares of it, the likeliest hit first."""
+"""Samples of a curve that are checked first, as shares of it; the likeliest hits come first."""
 _WIDE = 4.0
-"""Times the margin: where a motion keeps that much from everything, so many times fewer samples prove it."""
+"""Multiple of the margin. A motion that keeps so much from everything is proven with so many times fewer samples."""
 
 
 CurveAt: TypeAlias = Callable[[Floats], Floats]
@@ -47,7 +48,7 @@ CurveAt: TypeAlias = Callable[[Floats], Floats]
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A box (x, y, z) or an upright cylinder (diameter, length) standing in the cell, by its centre; or a mesh."""
+    """A solid in the cell, by its centre: a box (x, y, z), an upright cylinder (diameter, length) or a mesh."""
 
     name: str
     centre_m: tuple[float, float, float]
@@ -67,7 +68,7 @@ class Solid:
 
     @property
     def top_m(self) -> float:
-        """How high it stands."""
+        """Height of its top."""
         if self.mesh is not None:
             return self.centre_m[2] + float(self.mesh.aabb_local.max_[2])
         height_m = self.box_m[2] if self.box_m is not None else self.cylinder_m[1] if self.cylinder_m else 0.0
@@ -81,8 +82,8 @@ class Solid:
 class Scene:
     """The arm with one size of cone in one state of the cell; immutable.
 
-    `may_touch`: names of solids that the sheet may touch (a scoop's own mortar); `around` encloses them. `margin_m`:
-    what every configuration called free is away from everything.
+    `may_touch` names solids that the sheet may touch (the mortar of a scoop); `around` encloses them. `margin_m` is
+    the distance from everything that a configuration must keep to count as free.
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class Scene:
         self.margin_m = margin_m
         self.limits_rad = arm.limits_rad
         self.arm_shapes = arm.shapes.ngeoms
-        """How many of `shapes` are the URDF's: the first."""
+        """How many of `shapes`, from the first, are the URDF's."""
         self.model = arm.model
         self.bound = SweptBound(shapes, arm.model)
         touchable = set(may_touch)
@@ -107,7 +108,7 @@ class Scene:
         others = [solid for solid in solids if solid.name not in touchable]
         self._foremost = _foremost(arm, shapes, others)
         self._enclosed = None if around is None else _among(arm, shapes, [*others, around], {around.name})
-        # From here on the models are complete; only now may data be made of them.
+        # The models are complete now; data may only be made after that.
         self._data = self.model.createData()
 
     @cached_property
@@ -123,8 +124,9 @@ class Scene:
         return None if self._enclosed is None else _Pairs(self.model, self._enclosed)
 
     def hits(self, q: Floats) -> NDArray[np.bool_]:
-        """Which of the configurations (n, 7) come nearer than the margin to anything: (n,) bool."""
-        # Beyond the joints' limits nothing is free.
+        """Which configurations (n, 7) are nearer than the margin to anything, or beyond the joints' limits: (n,)
+        bool.
+        """
         hit = self._outside(q)
         left = ~hit
         if left.any():
@@ -132,9 +134,9 @@ class Scene:
         return hit
 
     def _nearer(self, q: Floats, margin_m: float, until_first: bool = False) -> NDArray[np.bool_]:
-        """As `_Pairs.nearer`. A mortar's two hundred solids are looked at only where what encloses them is near.
+        """As `_Pairs.nearer`. A hollow mortar's 200 solids are checked only if the cylinder around them is near.
 
-        That tells of most configurations of a stroke, in a seventh of the time.
+        For most configurations of a stroke it is not, and the test takes a seventh of the time.
         """
         if self._outer is None:
             return self._all.nearer(q, margin_m, until_first)
@@ -148,9 +150,9 @@ class Scene:
         return outside
 
     def first_hits(self, q: Floats) -> NDArray[np.bool_]:
-        """Of the configurations (n, 7) that are hit, most: cone and fore arm against the tallest solids, (n,) bool.
+        """Most of the hits among the configurations (n, 7): cone and fore arm against the tallest solids, (n,) bool.
 
-        Costs a sixth of `hits`: most of that goes into keeping track of shapes, few of which matter.
+        Costs a sixth of `hits`, which spends most of its time on updating shapes that rarely matter.
         """
         return self._first.nearer(q, self.margin_m)
 
@@ -159,7 +161,7 @@ class Scene:
         return bool(self._outside(q).any() or self._nearer(q, self.margin_m, until_first=True).any())
 
     def first_hit(self, q: Floats) -> Floats | None:
-        """The first configuration (7,) of a path (n, 7) that is hit, looked for a few at a time; None where none is."""
+        """The first configuration (7,) of a path (n, 7) that is hit, searched a few at a time; None if none is."""
         for begin in range(0, len(q), _LOOKED_AT_ONCE):
             some = q[begin : begin + _LOOKED_AT_ONCE]
             hits = self.hits(some)
@@ -183,13 +185,13 @@ class Scene:
         return np.array([result.min_distance for result in data.distanceResults])
 
     def touched(self, q: Floats) -> frozenset[str]:
-        """The names of all solids of the cell that are nearer than the margin at one configuration."""
+        """The names of all solids of the cell nearer than the margin at one configuration."""
         near = np.flatnonzero(self.distances_m(q) < self.margin_m)
         seconds = (self.shapes.geometryObjects[self.shapes.collisionPairs[int(k)].second] for k in near)
         return frozenset(thing.name for thing in seconds if thing.parentJoint == 0)
 
     def line(self, q0: Floats, q1: Floats) -> tuple[Floats, Floats]:
-        """Shares (n,) of the straight joint path and joints (n, 7) there, close enough together to prove it."""
+        """Shares (n,) and configurations (n, 7) along the straight joint path, dense enough to prove it."""
         return self.proving_samples(lambda shares: q0 + shares[:, None] * (q1 - q0), 1.0, 0 * q0)
 
     def line_free(self, q0: Floats, q1: Floats) -> bool:
@@ -197,13 +199,13 @@ class Scene:
         return self.curve_free(lambda shares: q0 + shares[:, None] * (q1 - q0), 1.0, 0 * q0)
 
     def curve_free(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> bool:
-        """Whether a curve over time is proven to touch nothing; `acceleration` (7,) bounds its joints'.
+        """Whether a curve over time is proven free; `acceleration` (7,) bounds that of its joints.
 
-        First with a wide margin, which needs few samples; closely only where that is not kept.
+        First with a wide margin, which needs few samples; densely only where that margin is not kept.
         """
         wide_m = _WIDE * self.margin_m
         times_s, q = self.proving_samples(positions_at, duration_s, acceleration, wide_m)
-        # What is hit is so at many of them mostly: a few tell, at a tenth of the price.
+        # A curve that is hit is mostly hit at many samples; a few suffice, at a tenth of the cost.
         if self.any_hit(q[(_GLANCED_AT * (len(q) - 1)).astype(int)]):
             return False
         near = self._nearer(q, wide_m)
@@ -216,7 +218,7 @@ class Scene:
         return not self.any_hit(q[~np.isin(between_s, times_s)])
 
     def proves(self, motion: JointTrajectory) -> bool:
-        """Whether a motion is proven to touch nothing, and keeps the joints' limits everywhere."""
+        """Whether a motion is proven to touch nothing and to keep the joints' limits throughout."""
         if self._outside(np.stack(motion.span())).any():
             return False
         return self.curve_free(motion.at, motion.duration_s, motion.extremes()[1])
@@ -224,20 +226,20 @@ class Scene:
     def proving_samples(
         self, positions_at: CurveAt, duration_s: float, acceleration: Floats, margin_m: float | None = None
     ) -> tuple[Floats, Floats]:
-        """Times (n,) and configurations (n, 7) whose freedom, by the margin, proves the whole curve free."""
+        """Times (n,) and configurations (n, 7) that, if free by the margin, prove the whole curve free."""
         times_s = np.linspace(0.0, duration_s, _FIRST_SAMPLES)
         allowed_m = np.full(len(times_s) - 1, margin_m or self.margin_m)
         return self._closer(positions_at, times_s, positions_at(times_s), acceleration, allowed_m)
 
     def _passed_m(self, times_s: Floats, q: Floats, acceleration: Floats) -> Floats:
-        """Within what distance every point of the arm passes the nearer of two neighbouring samples: (n - 1,)."""
+        """The distance within which every point of the arm passes the nearer of two neighbouring samples: (n - 1,)."""
         steps_s = times_s[1:] - times_s[:-1]
         return self.bound.passed_m(q) + float(acceleration @ self.bound.reach_m) / 8 * steps_s * steps_s
 
     def _closer(
         self, positions_at: CurveAt, times_s: Floats, q: Floats, acceleration: Floats, allowed_m: Floats
     ) -> tuple[Floats, Floats]:
-        """The samples, and so many more between them that none passes its neighbours by more than is allowed."""
+        """Add samples until no point passes its neighbours by more than `allowed_m`."""
         for _ in range(20):
             shares = self._passed_m(times_s, q, acceleration) / allowed_m
             if shares.max() <= 1:
@@ -251,7 +253,7 @@ class Scene:
 
 
 class _Pairs:
-    """The pairs of one model, looked at with one margin or another: each of them takes 6 kB, so they are there once."""
+    """The pairs of one model, tested with any margin. Each pair takes 6 kB, so they exist only once."""
 
     def __init__(self, model: pin.Model, shapes: pin.GeometryModel) -> None:
         self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(model, shapes, 1)
@@ -260,7 +262,7 @@ class _Pairs:
         self._margin_m = 0.0
 
     def nearer(self, q: Floats, margin_m: float, until_first: bool = False) -> NDArray[np.bool_]:
-        """Which of the configurations (n, 7) have a pair nearer than this, (n,) bool; `until_first` if any only."""
+        """Which configurations (n, 7) have a pair nearer than this: (n,) bool. `until_first`: only whether any has."""
         if margin_m != self._margin_m:
             for request in self._requests:
                 request.security_margin = margin_m
@@ -270,7 +272,7 @@ class _Pairs:
 
 
 def _among(arm: Arm, shapes: pin.GeometryModel, solids: Sequence[Solid], touchable: set[str]) -> pin.GeometryModel:
-    """The arm's shapes among solids, with all pairs that must not touch."""
+    """The arm's shapes and the solids, with all pairs that must not touch."""
     model = pin.GeometryModel(shapes)
     moving = model.ngeoms
     for solid in solids:
@@ -282,7 +284,7 @@ def _among(arm: Arm, shapes: pin.GeometryModel, solids: Sequence[Solid], touchab
 
 
 def _foremost(arm: Arm, shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:
-    """The foremost shapes against the tallest solids alone: the walls around the balance."""
+    """Only the foremost shapes and the tallest solids, which are the walls around the balance."""
     few = pin.GeometryModel()
     for thing in shapes.geometryObjects:
         if thing.name in _FOREMOST:
@@ -303,10 +305,10 @@ def _pairs(shapes: pin.GeometryModel, moving: int, touchable: set[str]) -> Itera
     for first in range(moving):
         joint = objects[first].parentJoint
         for second in range(first + 1, moving):
-            if objects[second].parentJoint - joint > LINKS_APART:  # of the others, see `near_links`
+            if objects[second].parentJoint - joint > LINKS_APART:  # for nearer links, see `near_links`
                 yield first, second
         for second in range(moving, shapes.ngeoms):
-            # The base stands, the shoulder turns on the spot: the cell is built around them.
+            # The cell is built around the base, which stands still, and the shoulder, which turns on the spot.
             moves = joint > 1 or (joint == 1 and not turns_on_the_spot(objects[first]))
             if moves and not (objects[first].name.startswith(CONE) and objects[second].name in touchable):
                 yield first, second

@@ -1,12 +1,11 @@
-"""A slow, straight-lined motion of the apex past waypoints: down to a wall, along it, up again.
+"""A slow motion of the apex along straight lines through waypoints: down to a wall, along it, up again.
 
     x(t) = (raw * box_T * box_T)(t),      box_T: average over T seconds
 
-`raw` runs along the polyline of waypoints (position and axis) at constant speed; averaging it twice
-over T makes speed continuous and acceleration bounded, starts and ends at rest, never exceeds the
-speed, and cuts a corner by no more than speed * T / 3. The elbow's swivel phi is carried along from
-the start, turned evenly by as little as the joints' limits and the cell demand, on one branch of the
-closed form: so it cannot jump.
+`raw` follows the polyline of waypoints (position and axis) at constant speed. Averaging it twice over T makes the
+speed continuous and the acceleration bounded. It starts and ends at rest, never exceeds the speed, and cuts a corner
+by at most speed * T / 3. The elbow's swivel phi turns evenly from its value at the start, by as little as joint limits
+and cell demand. It stays on one branch of the closed form, so it cannot jump.
 
 Positions [m], speeds [m/s], angles [rad], times [s].
 """
@@ -27,16 +26,20 @@ from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory, standing
 
 STEP_S = 0.005
+"""Step of the averaging [s]."""
 KEPT = 4
+"""One of so many averaged samples becomes a knot of the cubics."""
 AVERAGED_S = 0.08
+"""The averaging time T [s]."""
 GLANCED_AT = 4
-"""Every so many-th configuration of a course is looked at before it is proven: most that touch something do there."""
+"""One of so many configurations of a course is checked before the proof; most courses that touch something fail
+there."""
 LEAST_M_PER_S = 1e-4
-"""A motion is as many cubics as it is long: what creeps more slowly would be planned for minutes."""
+"""Least speed. The number of cubics grows with the duration, so slower motions would take minutes to plan."""
 TURN_RAD_PER_M = 10.0
-"""How fast the cone's axis may tilt on the way, by the apex' speed: what is 0.1 m from it goes no faster by that."""
+"""Largest tilt of the cone's axis per metre of the apex' way: points within 0.1 m then gain no more than its speed."""
 TURNS_OF_SWIVEL_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8, 1.2, -1.2)
-"""By how much the elbow may swing over the whole path, in the order tried."""
+"""How much the elbow may swing over the whole path, in the order tried."""
 
 
 def contact_motion(
@@ -50,7 +53,7 @@ def contact_motion(
 ) -> JointTrajectory:
     """The apex in straight lines from `start` (7,) through the waypoints, rest to rest, proven in the scene.
 
-    SkillFailed arm.start_in_collision, arm.unreachable or arm.no_path.
+    Raises SkillFailed arm.start_in_collision, arm.unreachable or arm.no_path.
     """
     times_s, positions_m, axes, seams = apex_path(with_seams(apex(start, mount), waypoints), speed_m_per_s)
     if len(times_s) < 2:
@@ -85,7 +88,7 @@ def contact_motion(
 
 
 def with_seams(start: ApexPose, waypoints: Sequence[ApexPose]) -> list[ApexPose]:
-    """The start and the waypoints, each with a seam: its own, or the one before it turned as the axis turns."""
+    """The start and the waypoints, each with a seam: its own, or the previous one rotated with the axis."""
     poses = [start]
     for pose in waypoints:
         before = poses[-1]
@@ -96,7 +99,7 @@ def with_seams(start: ApexPose, waypoints: Sequence[ApexPose]) -> list[ApexPose]
 
 
 def _turned_along(v: Floats, first: Floats, second: Floats) -> Floats:
-    """A vector, turned by the shortest turn of one unit vector to another that is not opposite."""
+    """A vector, rotated by the shortest rotation of one unit vector to another, which must not be opposite."""
     about = np.cross(first, second)
     turned: Floats = v + np.cross(about, v) + np.cross(about, np.cross(about, v)) / (1 + float(first @ second))
     return turned
@@ -105,7 +108,7 @@ def _turned_along(v: Floats, first: Floats, second: Floats) -> Floats:
 def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Times (n,), and positions, axes and seams (n, 3) of the apex through the waypoints, rest to rest.
 
-    ValueError for a speed below `LEAST_M_PER_S`.
+    Raises ValueError for a speed below `LEAST_M_PER_S`.
     """
     if not (math.isfinite(speed_m_per_s) and speed_m_per_s >= LEAST_M_PER_S):
         raise ValueError(
@@ -118,7 +121,7 @@ def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floa
     legs_m = np.maximum(np.linalg.norm(np.diff(positions_m, axis=0), axis=1), turns_rad / TURN_RAD_PER_M)
     legs_s = legs_m / speed_m_per_s
     width = round(AVERAGED_S / STEP_S) | 1
-    # Standing still for as long as the averages reach, before and after, makes both ends rest.
+    # Both ends are at rest because the path stands still there for as long as the averages reach.
     corners_s = width * STEP_S + np.concatenate([[0.0], np.cumsum(legs_s)])
     count = KEPT * math.ceil((corners_s[-1] + width * STEP_S) / (KEPT * STEP_S)) + 1
     times_s = np.arange(count) * STEP_S
@@ -131,18 +134,18 @@ def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floa
             _turned(seams, leg, share),
         ]
     )
-    from scipy.ndimage import uniform_filter1d  # which not every command has to load
+    from scipy.ndimage import uniform_filter1d  # slow to load
 
     for _ in range(2):
         raw = uniform_filter1d(raw, width, axis=0, mode="nearest")
-    # The averages are taken finely; cubics through every fourth of their values follow them to micrometres.
+    # Cubics through every fourth value follow the averages to micrometres.
     times_s, raw = times_s[::KEPT], raw[::KEPT]
     axes, seams = (part / np.linalg.norm(part, axis=1)[:, None] for part in (raw[:, 3:6], raw[:, 6:]))
     return times_s, raw[:, :3], axes, seams
 
 
 def _turns_rad(directions: Floats) -> Floats:
-    """By how much unit vectors (n, 3) turn from each to the next: (n - 1,)."""
+    """Angles between consecutive unit vectors (n, 3): (n - 1,)."""
     turns: Floats = 2 * np.arcsin(np.minimum(1.0, np.linalg.norm(np.diff(directions, axis=0), axis=1) / 2))
     return turns
 
@@ -160,7 +163,7 @@ def _turned(axes: Floats, leg: np.ndarray, share: Floats) -> Floats:
 
 
 def swivel_course(phi: float, turn: float, count: int) -> Floats:
-    """The swivel angle along a path: from phi by `turn`, starting and ending without speed."""
+    """The swivel angle along a path: from phi by `turn`, starting and ending at rest."""
     share = np.linspace(0.0, 1.0, count)
     course: Floats = phi + turn * share**3 * (10 - 15 * share + 6 * share**2)
     return course

@@ -1,15 +1,18 @@
-"""The coordinates a path is planned in: the joints themselves, or the arm with its cone held level.
+"""The coordinates in which a path is planned: the joints, or level coordinates, which hold a cone level.
 
-Empty cone: c = q. Loaded cone: the last two joints serve the cone's axis u and the planner moves the rest,
+Empty cone: c = q. Loaded cone: the last two joints serve the cone's axis u, and the rest is planned,
 
     c = (q1, q2, q3, q4, q5, ux, uy),       Ry(-q6) Rz(q7) a = v = R(q1..q5)^T u
 
-so that a straight line between two level configurations is level all along, and the two angles follow in closed form:
-with a as in `kinematics` and omega = azimuth + q7, sin(lean) sin(omega) = vy, of whose two solutions the one with
-cos(omega) < 0 is taken, in which the cone lies above its handle; then q6 turns (sin(lean) cos(omega), -cos(lean)) to
-(vx, vz). Nothing singular is near: q6 may pass through zero. There is no solution where |vy| > sin(lean).
+So a straight line between two level configurations is level throughout. With a as in `kinematics`,
 
-q [rad] and c shape (n, 7); u the unit axis, ux and uy its horizontal components.
+    sin(lean) sin(azimuth + q7) = vy
+
+Of the two solutions the one with cos(azimuth + q7) < 0 is taken, in which the cone lies above its handle. Then q6
+rotates (sin(lean) cos(azimuth + q7), -cos(lean)) to (vx, vz). Nothing is singular nearby: q6 may pass through zero.
+There is no solution where |vy| > sin(lean).
+
+q [rad] and c have the shape (n, 7); u is the unit axis, ux and uy its horizontal components.
 """
 
 import math
@@ -23,9 +26,9 @@ from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, Mount, apex_positio
 from scuhand_bt.motion.timelaw import RateLimits
 
 _NOWHERE_RAD = 9.0
-"""Of joint 7 where the axis cannot be served: outside its limits, so that nothing is free there."""
+"""Joint 7 where there is no solution: outside its limits, so that nothing is free there."""
 _AXIS_RATES = (1.0, 4.0, 40.0)
-"""Speed, acceleration and jerk of the axis' components [1/s, 1/s^2, 1/s^3]."""
+"""Limits of the axis' components: speed [1/s], acceleration [1/s^2], jerk [1/s^3]."""
 
 
 class Coordinates(Protocol):
@@ -33,7 +36,7 @@ class Coordinates(Protocol):
 
     rates: RateLimits
     scatter: Floats
-    """The standard deviation of random points, by coordinate: shape (7,)."""
+    """Relative standard deviation of random points, by coordinate: (7,)."""
 
     def joints(self, c: Floats) -> Floats:
         """Coordinates (n, 7) to joints (n, 7)."""
@@ -44,16 +47,16 @@ class Coordinates(Protocol):
         ...
 
     def covers(self, q: Floats) -> NDArray[np.bool_]:
-        """Which of the configurations (n, 7) these coordinates hold: (n,)."""
+        """Which of the configurations (n, 7) these coordinates can represent: (n,)."""
         ...
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        """One random point (7,), to grow a tree towards."""
+        """A random point (7,) to grow a tree towards."""
         ...
 
 
 class JointCoordinates:
-    """The joints themselves; random points are level where `level` coordinates are given to draw them."""
+    """The joints themselves. With `level` coordinates, random points are level."""
 
     def __init__(self, rates: RateLimits, limits_rad: Floats, level: Coordinates | None = None) -> None:
         self.rates = rates
@@ -79,7 +82,7 @@ class JointCoordinates:
 
 
 def level_coordinates(rates: RateLimits, mount: Mount, start: Floats) -> Coordinates:
-    """Those in which a straight line keeps the cone level, for an arm that begins at `start` (7,)."""
+    """Coordinates in which a straight line keeps the cone level, for an arm that begins at `start` (7,)."""
     return LevelCoordinates(rates, mount) if mount.arm is None else AxisLevel(rates, mount, start)
 
 
@@ -122,7 +125,7 @@ class LevelCoordinates:
         return covered
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        # Of sixteen arms the first that can hold the cone level; most can not.
+        # Of sixteen random arms, the first that can hold the cone level, which most cannot.
         c = rng.uniform(LIMITS_RAD[0], LIMITS_RAD[1], (16, len(LIMITS_RAD[0])))
         c[:, 5:] = 0.0
         q = self.joints(c)
@@ -132,6 +135,6 @@ class LevelCoordinates:
 
 
 def _wrapped(angle: Floats) -> Floats:
-    """Angles in -pi..pi."""
+    """Angles wrapped to -pi..pi."""
     wrapped: Floats = (angle + math.pi) % (2 * math.pi) - math.pi
     return wrapped

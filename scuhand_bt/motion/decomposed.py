@@ -1,18 +1,18 @@
-"""Any arm of six or seven joints whose inverse kinematics falls apart into known problems of geometry, by EAIK.
+"""Arms of six or seven joints whose inverse kinematics EAIK can decompose into known geometric subproblems.
 
-EAIK (Ostermeier, Kuelz, Althoff, RA-L 10(10), 2025) looks for axes that are parallel or meet, and solves a pose of six
-joints in all its branches at once, in some microseconds. Of seven joints one is held at an angle, which takes the place
-of the elbow's swivel in `inverse`: the last one whose holding leaves six that EAIK can solve. What it answers is put
-through this module's own forward kinematics, and left out where it is not the pose asked for.
+EAIK (Ostermeier, Kuelz, Althoff, RA-L 10(10), 2025) looks for axes that are parallel or intersect, and solves all
+branches of a six-joint pose in microseconds. Of seven joints one is held at an angle, which takes the role of the
+elbow's swivel in `inverse`: the last one for which EAIK can solve the other six. Each answer is checked by this
+module's own forward kinematics, and dropped if it misses the pose.
 
-    T(q) = prod_j P_j Rot(a_j, q_j) . tool       P_j, a_j: a joint's place in the one before it, and its axis
+    T(q) = prod_j P_j Rot(a_j, q_j) . tool       P_j: a joint's frame in the one before it, a_j: its axis
 
-The cone is held as `kinematics` tells, its handle along the tool's z. With the last two joints alone the cone's axis is
-turned anywhere it can be in closed form, which keeps a load level on a straight line (`AxisLevel`):
+The cone is held as in `kinematics`, with its handle along the tool's z. The last two joints alone turn the cone's axis
+in any possible direction in closed form, so a straight line can keep a load level (`AxisLevel`):
 
     Rot(k1, q') Rot(k2, q'') b = w,   z = Rot(k2, q'') b = alpha k1 + beta k2 + gamma k1 x k2,   |z| = 1
 
-(Paden and Kahan's second subproblem); the sign of gamma is the branch. Lengths in metres, angles in radians.
+(Paden and Kahan's second subproblem); the sign of gamma selects the branch. Lengths in metres, angles in radians.
 """
 
 import math
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
     from scuhand_bt.motion.kinematics import Mount
 
 BRANCHES = 8
-"""As many as six joints have, where EAIK knows them."""
+"""Most solutions of six joints that EAIK returns."""
 EXACT = 1e-7
-"""How far a solution's frame may be from what was asked: metres, and parts of a turn."""
+"""How far a solution's frame may be off: metres, and entries of the rotation matrix."""
 SWIVELS, FINE_SWIVELS = 24, 72
-"""Angles at which the joint that is held is looked at, for a pose whose yaw is free and for one whose yaw is not."""
+"""How many angles of the held joint are tried: for a pose with a free yaw, and for one with a seam."""
 SAME_RAD = 0.1
-"""From one pose of a course to the next no joint turns by more."""
+"""From one pose of a course to the next, no joint turns by more."""
 _EDGE = 1e-9
 _AXIS_RATES = (1.0, 4.0, 40.0)
-"""Speed, acceleration and jerk of the axis' components [1/s, 1/s^2, 1/s^3]."""
+"""Limits of the axis' components: speed [1/s], acceleration [1/s^2], jerk [1/s^3]."""
 
 
 class DecomposedArm:
-    """One arm by its model; `tool` is where its flange is in the last joint's frame, z along the handle.
+    """One arm by its model; `tool` is its flange in the last joint's frame, z along the handle.
 
-    ValueError for an arm that EAIK cannot take apart, or where EAIK is not installed.
+    Raises ValueError for an arm that EAIK cannot decompose, or if EAIK is not installed.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class DecomposedArm:
         self.joints = int(model.nq)
         self.limits_rad = limits_rad
         self.relaxed_rad = relaxed_rad or tuple(limits_rad.mean(axis=0).tolist())
-        """What postures are chosen near to, the first joint from where the place is."""
+        """Postures are chosen near this one, with the first joint turned towards the place."""
         self.axes = joint_axes(model)
         self._turns = np.array([model.jointPlacements[j + 1].rotation for j in range(self.joints)])
         self._offsets_m = np.array([model.jointPlacements[j + 1].translation for j in range(self.joints)])
@@ -66,13 +66,13 @@ class DecomposedArm:
             at_m, turn = at_m + ways_m[-1], turn @ self._turns[joint]
             directions.append(turn @ self.axes[joint])
         self._unturned = turn.T
-        # Rounded: a millionth of a degree in a URDF's pi/2 must not hide that two axes are parallel or meet.
+        # Rounded, so that a URDF's inexact pi/2 does not hide that two axes are parallel or intersect.
         self._directions = np.array(directions).round(9)
         self._ways_m = np.array([*ways_m, np.zeros(3)]).round(9)
         self.held = self._joint_to_hold()
 
     def _joint_to_hold(self) -> int | None:
-        """Of seven joints the last one whose holding EAIK can take apart; None of six."""
+        """The last of seven joints for which EAIK can solve the others; None for six joints."""
         if self.joints not in (6, 7):
             raise ValueError(f"an arm has six or seven joints, not {self.joints}")
         for joint in (None,) if self.joints == 6 else range(self.joints - 1, -1, -1):
@@ -102,7 +102,7 @@ class DecomposedArm:
         return ApexPose(position_m, axis, seam)
 
     def _flanges(self, q: Floats) -> tuple[Floats, Floats]:
-        """Turns (m, 3, 3) and positions (m, 3) of the flange."""
+        """Rotations (m, 3, 3) and positions (m, 3) of the flange."""
         turns, at_m = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
         for joint in range(self.joints):
             at_m = at_m + turns @ self._offsets_m[joint]
@@ -134,9 +134,10 @@ class DecomposedArm:
     # Backwards --------------------------------------------------------------------------------------
 
     def branches(self, positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, mount: "Mount") -> Floats:
-        """The configurations of m poses (m, 3) three times, each with the held joint at its own angle (m,).
+        """The configurations of m poses (three times (m, 3)), each with its own angle of the held joint (m,).
 
-        Shape (m, 8, n), limits ignored, each angle in the turn about its window's middle; NaN where there is none.
+        Shape (m, 8, n), NaN where there is none. Limits are ignored; each angle is in the turn about its window's
+        middle.
         """
         turns, flanges_m = self._asked(positions_m, axes, seams, mount)
         wrists = turns @ self._tool_turn.T
@@ -161,7 +162,7 @@ class DecomposedArm:
         return self._sound(found, turns, flanges_m)
 
     def _sound(self, q: Floats, turns: Floats, flanges_m: Floats) -> Floats:
-        """Solutions (m, 8, n) in their windows' turns; NaN those that are not the frames asked for."""
+        """Solutions (m, 8, n) moved into their windows' turns; NaN for those that miss the requested frame."""
         middles = self.limits_rad.mean(axis=0)
         q = middles + (q - middles + math.pi) % (2 * math.pi) - math.pi
         there = np.flatnonzero(~np.isnan(q[:, :, 0]).ravel())
@@ -176,7 +177,7 @@ class DecomposedArm:
         return flat.reshape(q.shape)
 
     def _asked(self, positions_m: Floats, axes: Floats, seams: Floats, mount: "Mount") -> tuple[Floats, Floats]:
-        """The flange's turns (m, 3, 3) and positions (m, 3) for apexes, cone axes and seams."""
+        """The flange's rotations (m, 3, 3) and positions (m, 3) for apexes, cone axes and seams."""
         towards = axes - (axes * seams).sum(axis=-1, keepdims=True) * seams
         towards = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
         beside = np.cross(-seams, towards)
@@ -185,7 +186,7 @@ class DecomposedArm:
         return turns, positions_m - turns @ np.array([*mount.aside_m, mount.offset_m])
 
     def solutions(self, pose: ApexPose, seams: Floats, mount: "Mount", limits_rad: Floats) -> Floats:
-        """The configurations of a pose with each of its seams (k, 3), on a grid of the held joint's angles: (m, n)."""
+        """The configurations (m, n) of a pose with each of the seams (k, 3), on a grid of the held joint's angles."""
         swivels = self.swivels(FINE_SWIVELS if len(seams) == 1 else SWIVELS)
         each = np.repeat(seams, len(swivels), axis=0)
         positions_m, axes = (np.broadcast_to(one, each.shape) for one in (pose.position_m, pose.axis))
@@ -193,7 +194,7 @@ class DecomposedArm:
         return np.clip(q[_within(q, limits_rad)], limits_rad[0], limits_rad[1])
 
     def swivels(self, count: int) -> Floats:
-        """Angles of the held joint, evenly over its window or a turn of it; one where none is held."""
+        """Angles of the held joint, evenly over its window or one turn; a single one if none is held."""
         if self.held is None:
             return np.zeros(1)
         low, high = self.limits_rad[:, self.held]
@@ -207,7 +208,7 @@ class DecomposedArm:
         return 0.0 if self.held is None else float(q[self.held])
 
     def unreachable_reason(self, pose: ApexPose, seams: Floats, mount: "Mount", limits_rad: Floats) -> str:
-        """Why no configuration of its seams reaches a pose."""
+        """Why no configuration with one of these seams reaches a pose."""
         everywhere = np.array([[-np.inf] * self.joints, [np.inf] * self.joints])
         q = self.solutions(pose, seams, mount, everywhere)
         if not len(q):
@@ -221,24 +222,24 @@ class DecomposedArm:
         )
 
     def reach_m(self, mount: "Mount") -> float:
-        """No apex is farther than this from the first joint."""
+        """Upper bound of the apex' distance from the first joint."""
         held_m = np.linalg.norm(self._tool_m) + mount.offset_m + np.linalg.norm(mount.aside_m)
         return float(np.linalg.norm(self._offsets_m[1:], axis=1).sum() + held_m)
 
     @property
     def shoulder_m(self) -> Floats:
-        """Where the first joint is."""
+        """Position of the first joint."""
         shoulder_m: Floats = self._offsets_m[0]
         return shoulder_m
 
     def along(
         self, positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, q_start: Floats, mount: "Mount"
     ) -> Floats | None:
-        """Configurations (m, n) of a course of poses, on q_start's branch; None where there is none, or a jump."""
+        """Configurations (m, n) along a course of poses, on q_start's branch; None if there are none, or at a jump."""
         branches = self.branches(positions_m, axes, seams, swivels, mount)
         q, previous = np.empty((len(branches), self.joints)), q_start
         for k, some in enumerate(branches):
-            near = previous + (some - previous + math.pi) % (2 * math.pi) - math.pi  # windows may be wider than a turn
+            near = previous + (some - previous + math.pi) % (2 * math.pi) - math.pi  # windows may exceed a turn
             jumps = np.where(np.isnan(near), np.inf, np.abs(near - previous)).max(axis=1)
             nearest = int(jumps.argmin())
             if not jumps[nearest] <= SAME_RAD:
@@ -247,7 +248,7 @@ class DecomposedArm:
         return q if _within(q, self.limits_rad).all() else None
 
     def nearest_turns(self, q: Floats, to: Floats) -> Floats:
-        """Configurations (m, n), each angle in the turn nearest to that of `to` (n,) that its window holds."""
+        """Configurations (m, n), each angle moved by whole turns as near to `to` (n,) as its window allows."""
         turned = to + (q - to + math.pi) % (2 * math.pi) - math.pi
         inside = (turned >= self.limits_rad[0]) & (turned <= self.limits_rad[1])
         nearer: Floats = np.where(inside, turned, q)
@@ -256,9 +257,9 @@ class DecomposedArm:
     # The cone's axis by the last two joints ---------------------------------------------------------
 
     def is_bent_alike(self, q: Floats, to: Floats, mount: "Mount") -> NDArray[np.bool_]:
-        """Which of configurations (..., n) hold the cone with the wrist bent as `to` (n,) does.
+        """Which of the configurations (..., n) hold the cone with the wrist bent the same way as `to` (n,).
 
-        From the one to the other a load would have to tip over.
+        Between configurations that differ in this, a load would have to tip over.
         """
         alike: NDArray[np.bool_] = self.wrist_lean(q, mount) * self.wrist_lean(to, mount) > 0
         return alike
@@ -271,11 +272,11 @@ class DecomposedArm:
 
     @cached_property
     def last_axes(self) -> tuple[Floats, Floats]:
-        """The last two joints' axes, seen from the one before the last where both are at zero: k1, k2."""
+        """The last two joints' axes k1 and k2, in the frame of the last but one, with both joints at zero."""
         return self.axes[-2], self._turns[-1] @ self.axes[-1]
 
     def before_last(self, q: Floats) -> Floats:
-        """The turns (m, 3, 3) of what the last two joints stand on."""
+        """Rotations (m, 3, 3) of the link that carries the last two joints."""
         turns: Floats = np.broadcast_to(np.eye(3), (len(q), 3, 3))
         for joint in range(self.joints - 2):
             turns = turns @ (self._turns[joint] @ _rotations(self.axes[joint], q[:, joint]))
@@ -283,13 +284,13 @@ class DecomposedArm:
         return stood_on
 
     def axis_held(self, mount: "Mount") -> Floats:
-        """The cone's axis where the last joint is at zero, seen from there: b."""
+        """The cone's axis b in that frame, with the last joint at zero."""
         held: Floats = self._turns[-1] @ self._tool_turn @ mount.axis
         return held
 
 
 class AxisLevel:
-    """Planning coordinates of such an arm: all joints but the last two, and the cone's axis (see `coordinates`)."""
+    """Level coordinates of such an arm: all joints but the last two, and the cone's axis (see `coordinates`)."""
 
     def __init__(self, rates: RateLimits, mount: "Mount", start: Floats) -> None:
         assert mount.arm is not None
@@ -326,11 +327,11 @@ class AxisLevel:
         q[:, -1] = _angles(self._k2, np.broadcast_to(self._b, z.shape), z)
         middles = self._arm.limits_rad.mean(axis=0)[-2:]
         q[:, -2:] = middles + (q[:, -2:] - middles + math.pi) % (2 * math.pi) - math.pi
-        q[rest < 0, -1] = self._arm.limits_rad[1, -1] + 1.0  # the axis cannot be so: nothing is free there
+        q[rest < 0, -1] = self._arm.limits_rad[1, -1] + 1.0  # no solution: outside its limits, so that nothing is free
         return q
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        # Of sixteen arms the first that can hold the cone level; most can not.
+        # Of sixteen random arms, the first that can hold the cone level, which most cannot.
         limits = self._arm.limits_rad
         c = rng.uniform(limits[0], limits[1], (16, self._arm.joints))
         c[:, -2:] = 0.0
@@ -345,13 +346,13 @@ def joint_axes(model: pin.Model) -> Floats:
 
 
 def _within(q: Floats, limits_rad: Floats) -> NDArray[np.bool_]:
-    """Which of configurations (..., n) keep the limits; those that are none do not."""
+    """Which configurations (..., n) keep the limits; NaN does not."""
     within: NDArray[np.bool_] = ((q >= limits_rad[0] - _EDGE) & (q <= limits_rad[1] + _EDGE)).all(axis=-1)
     return within
 
 
 def _rotations(axis: Floats, angles: Floats) -> Floats:
-    """Turns about one axis by angles (m,): (m, 3, 3), by Rodrigues."""
+    """Rotations about one axis by angles (m,): (m, 3, 3), by Rodrigues' formula."""
     x, y, z = axis
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
@@ -360,7 +361,7 @@ def _rotations(axis: Floats, angles: Floats) -> Floats:
 
 
 def _angles(axis: Floats, first: Floats, second: Floats) -> Floats:
-    """By how much vectors (m, 3) are turned about an axis to become others."""
+    """The angles by which vectors (m, 3) are rotated about an axis to become others."""
     p, r = (v - (v @ axis)[:, None] * axis for v in (first, second))
     angles: Floats = np.arctan2(np.cross(p, r) @ axis, (p * r).sum(axis=1))
     return angles

@@ -1,16 +1,16 @@
-"""The circle that the elbow is free on, and the configurations at its points: closed form of the arm, numpy only.
+"""The circle on which the elbow is free, and the configurations on it: closed form of the arm, numpy only.
 
-In the symbols of `kinematics` and `inverse`, d = W - S from the shoulder to the wrist. The elbow angle follows from
-|d|^2 = 2 l^2 (1 + cos q4); the elbow itself is free on a circle about d, by the swivel angle phi:
+In the symbols of `kinematics` and `inverse`, d = W - S is the vector from shoulder to wrist. The elbow angle follows
+from |d|^2 = 2 l^2 (1 + cos q4). The elbow is free on a circle about d, by the swivel angle phi:
 
     e(phi) = (d/|d|) cos(q4/2) + (n cos phi + m sin phi) sin(|q4|/2)
 
-The cosine or the tangent of every other joint is a ratio of expressions *linear* in e. So each joint limit but q7's is
-a root of A + B cos phi + C sin phi = 0, the swivel circle falls into arcs between those roots, and one look into each
-arc tells exactly whether the first six joints have any solution.
+The cosine or tangent of every other joint is a ratio of expressions *linear* in e. So each joint limit except q7's is
+a root of A + B cos phi + C sin phi = 0. These roots divide the swivel circle into arcs, and one test in each arc
+decides exactly whether the first six joints have any solution.
 
-Closed form in the manner of Shimizu et al., "Analytical inverse kinematic computation for 7-DOF
-redundant manipulators", IEEE T-RO 24(5), 2008. Lengths in metres, angles in radians.
+Closed form in the manner of Shimizu et al., "Analytical inverse kinematic computation for 7-DOF redundant
+manipulators", IEEE T-RO 24(5), 2008. Lengths in metres, angles in radians.
 """
 
 import math
@@ -62,7 +62,7 @@ class Circles:
     q4: Floats
 
     def repeated(self, count: int) -> "Circles":
-        """Each of them so many times, one after another."""
+        """Each of them `count` times in a row."""
         every = (self.middle, self.across, self.up, self.d_m, self.h, self.q4)
         return Circles(*(np.repeat(one, count, axis=0) for one in every))
 
@@ -71,7 +71,7 @@ class Circles:
 
 
 def circle_of(position_m: Floats, axis: Floats, seam: Floats, mount: Mount) -> Circle | str:
-    """The elbow's circle of an apex, an axis and a seam, or the sentence that says why it has none."""
+    """The elbow's circle for an apex, axis and seam; or a sentence that says why there is none."""
     d = mount.wrists_m(position_m, axis, seam) - (0.0, 0.0, SHOULDER_Z_M)
     distance_m = math.sqrt(float(d @ d))
     nearest_m = 2 * LINK_M * math.cos(LIMITS_RAD[0, 3] / 2)
@@ -87,19 +87,19 @@ def circle_of(position_m: Floats, axis: Floats, seam: Floats, mount: Mount) -> C
         )
     half = math.acos(min(1.0, distance_m / (2 * LINK_M)))
     towards = d / distance_m
-    # Any fixed normal does; the world's z, or x where the wrist is straight above the shoulder.
+    # Any fixed normal will do: the world's z, or x if the wrist is straight above the shoulder.
     other = np.array([1.0, 0.0, 0.0]) if abs(towards[2]) > 0.99 else np.array([0.0, 0.0, 1.0])
     up = other - (other @ towards) * towards
     up /= math.sqrt(float(up @ up))
     (ux, uy, uz), (tx, ty, tz) = up, towards
     across = np.array([uy * tz - uz * ty, uz * tx - ux * tz, ux * ty - uy * tx])
-    # sin(q4/2) from |d| loses its last digits as the arm stretches; the elbow's own triangle does not.
+    # By the elbow's triangle, as sin(q4/2) from the angle loses digits for a stretched arm.
     sine = math.sqrt(max(0.0, 1 - (distance_m / (2 * LINK_M)) ** 2))
     return Circle(towards * math.cos(half), across * sine, up * sine, d, -seam, -2 * half)
 
 
 def has_circle(positions_m: Floats, axes: Floats, seams: Floats, mount: Mount) -> NDArray[np.bool_]:
-    """Which apexes and seams (n, 3) the arm is neither too short nor too folded for: (n,)."""
+    """Which apexes and seams (n, 3) are neither too far from nor too near to the shoulder: (n,)."""
     d = mount.wrists_m(positions_m, axes, seams) - (0.0, 0.0, SHOULDER_Z_M)
     share = np.linalg.norm(d, axis=1) / (2 * LINK_M)
     has: NDArray[np.bool_] = (share <= 1 + EDGE) & (share >= math.cos(LIMITS_RAD[0, 3] / 2) - EDGE)
@@ -107,7 +107,7 @@ def has_circle(positions_m: Floats, axes: Floats, seams: Floats, mount: Mount) -
 
 
 def circles_of(positions_m: Floats, axes: Floats, seams: Floats, mount: Mount) -> Circles | None:
-    """The elbow circles of many apexes and seams (n, 3), (n, 3), stacked; None where one has none."""
+    """The elbow circles of many apexes and seams, (n, 3) each, stacked; None if one has none."""
     if not has_circle(positions_m, axes, seams, mount).all():
         return None
     d = mount.wrists_m(positions_m, axes, seams) - (0.0, 0.0, SHOULDER_Z_M)
@@ -123,16 +123,16 @@ def circles_of(positions_m: Floats, axes: Floats, seams: Floats, mount: Mount) -
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
-    """Dot products of vectors with one vector, or with one each."""
+    """Dot products of vectors with one vector, or pairwise."""
     product: Floats = a @ b if b.ndim == 1 else (a * b).sum(axis=-1)
     return product
 
 
 def _linear_forms(circle: Circle | Circles, e: Floats) -> Floats:
-    """The eight expressions, linear in e, that carry q1, q2, q3, q5 and q6: shape (8, n).
+    """The eight expressions, linear in e, that determine q1, q2, q3, q5 and q6: (8, n).
 
-    With s2 = sin q2, s4 = sin |q4|: s2 cos q1 and s2 sin q1, cos q2, s2 times the forearm's two
-    components that give q3, s4 times the hand's two that give q5 (without the sign of q6), cos q6.
+    With s2 = sin q2, s4 = sin |q4|: s2 cos q1 and s2 sin q1; cos q2; s2 times the forearm's two components that give
+    q3; s4 times the hand's two that give q5 (without the sign of q6); cos q6.
     """
     d, h = circle.d_m / LINK_M, circle.h
     along = _dot(circle.middle, d)
@@ -155,14 +155,14 @@ def _linear_forms(circle: Circle | Circles, e: Floats) -> Floats:
 
 
 def forms_of(circle: Circle) -> Floats:
-    """The eight expressions as functions of the swivel angle: times (1, cos phi, sin phi), shape (8, 3)."""
+    """The eight expressions as functions of the swivel angle: coefficients of (1, cos phi, sin phi), (8, 3)."""
     at = _linear_forms(circle, circle.directions(_THREE))
     constant = (at[:, 0] + at[:, 2]) / 2
     return np.stack([constant, (at[:, 0] - at[:, 2]) / 2, at[:, 1] - constant], axis=1)
 
 
 def configurations(circle: Circle, forms: Floats, phi: Floats) -> Floats:
-    """All four branches (signs of q2 and q6) at each swivel angle: shape (4 n, 7), limits ignored."""
+    """All four branches (signs of q2 and q6) at each swivel angle: (4 n, 7), limits ignored."""
     x1, y1, c2, x3, y3, x5, y5, c6 = forms @ np.array([np.ones(len(phi)), np.cos(phi), np.sin(phi)])
     q = np.zeros((2, 2, len(phi), JOINTS))
     shoulder_bent = np.hypot(x1, y1) > SINGULAR
@@ -178,7 +178,7 @@ def configurations(circle: Circle, forms: Floats, phi: Floats) -> Floats:
         _settle_singular(q, circle, circle.directions(phi), elbow_bent)
         return q.reshape(-1, JOINTS)
     s6 = np.sqrt(np.maximum(0.0, 1 - np.minimum(1.0, c6 * c6)))
-    # |sin q6| from the two components is exact where c6 is near one.
+    # Near c6 = 1, |sin q6| is exact only from the two components.
     s6 = np.where(np.abs(c6) > 0.9, np.hypot(x5, y5) / math.sin(-circle.q4), s6)
     for k, sign in enumerate((1.0, -1.0)):
         q[:, k, :, 4] = np.where(wrist_bent, np.arctan2(sign * y5, sign * x5), 0.0)
@@ -187,7 +187,7 @@ def configurations(circle: Circle, forms: Floats, phi: Floats) -> Floats:
 
 
 def _settle_singular(q: Floats, circle: Circle, e: Floats, elbow_bent: bool) -> None:
-    """Fill q3, q5 and q6 by turning vectors back, where the arm is straight or the upper arm upright."""
+    """Fill in q3, q5 and q6 by rotating vectors back, for a straight arm or an upright upper arm."""
     for i in range(2):
         for n in range(q.shape[2]):
             q1, q2 = q[i, 0, n, 0], q[i, 0, n, 1]
@@ -214,7 +214,7 @@ def four_branches(stacked: Circles, swivels: Floats) -> Floats:
     x1, y1, c2, x3, y3, x5, y5, c6 = _linear_forms(stacked, e)
     s2, s4 = np.hypot(x1, y1), -np.sin(stacked.q4)
     if min(s2.min(), s4.min(), (np.hypot(x5, y5) / np.maximum(s4, SINGULAR)).min()) < 1e3 * SINGULAR:
-        # Where an angle is not determined, one configuration at a time settles it.
+        # An undetermined angle needs the slower way, one configuration at a time.
         circles = (stacked[k] for k in range(len(swivels)))
         return np.array([configurations(c, forms_of(c), swivels[k : k + 1]) for k, c in enumerate(circles)])
     s6 = np.hypot(x5, y5) / s4
@@ -238,10 +238,10 @@ def swivel_on(circle: Circle, q: Floats) -> float:
 
 @cache
 def _limit_lines(limits: bytes) -> tuple[Floats, Floats]:
-    """The combinations (10, 8) of the linear forms that are a number each (10,) where a joint is at a limit."""
+    """Combinations (10, 8) of the linear forms, and the values (10,) that they have where a joint is at a limit."""
     bounds = np.frombuffer(limits).reshape(2, JOINTS)
     weights, shifts = np.zeros((10, 8)), np.zeros(10)
-    # tan q = y/x at its limit: x sin(limit) - y cos(limit) = 0, on either of the two branches.
+    # tan q = y/x, so at a limit x sin(limit) - y cos(limit) = 0, on both branches.
     for k, (joint, x, y) in enumerate(((0, 0, 1), (2, 3, 4), (4, 5, 6))):
         weights[2 * k : 2 * k + 2, x], weights[2 * k : 2 * k + 2, y] = (
             np.sin(bounds[:, joint]),
@@ -265,7 +265,7 @@ def _limit_roots(forms: Floats, limits: Floats) -> Floats:
 
 
 def arcs(circle: Circle, forms: Floats, limits: Floats) -> tuple[Floats, Floats]:
-    """Begins and lengths of the arcs that the limits cut the swivel circle into."""
+    """Begins and lengths of the arcs into which the limits divide the swivel circle."""
     if abs(circle.q4) <= SINGULAR:
         return np.zeros(1), np.zeros(1)
     roots = _limit_roots(forms, limits)

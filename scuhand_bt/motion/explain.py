@@ -1,4 +1,4 @@
-"""Why a motion cannot be: the failures of planning, with what would be possible instead.
+"""Why a motion is not possible: the failures of planning, with what would be possible instead.
 
 Configurations [rad] (7,) or (n, 7), lengths in metres.
 """
@@ -14,19 +14,19 @@ from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount
 from scuhand_bt.motion.nearest import nearest_reachable
 
 _LOOKED_AT = 12
-"""Of a goal's configurations, about how many are looked at for the one with the most room; and of a straight way."""
+"""About how many configurations of a goal are compared for the most room; also how many samples of a straight way."""
 _WAYS, _NAMED = 8, 3
-"""Straight ways that are looked at, and pairs that are named, where no way is found."""
+"""How many straight ways are examined, and how many pairs are named, if no way is found."""
 
 
 def require_reachable(pose: ApexPose, name: str, mount: Mount, scene: Scene) -> None:
-    """SkillFailed arm.unreachable for a pose that no configuration reaches, with the nearest that a free one does."""
+    """Raises SkillFailed arm.unreachable for a pose that no configuration reaches, with the nearest possible one."""
     reason = unreachable_reason(pose, mount, scene.limits_rad)
     if reason is None:
         return
 
     def said() -> str:
-        near = nearest_reachable(pose, mount, scene)  # a second's search
+        near = nearest_reachable(pose, mount, scene)  # takes a second, so only if the text is read
         if near is None:
             return f"{name}: {reason}; nothing near can be reached"
         x, y, z = near.position_m * 1e3
@@ -42,14 +42,14 @@ def start_in_collision(scene: Scene, q: Floats) -> SkillFailed:
 
 
 def goal_blocked(scene: Scene, name: str, q: Floats) -> SkillFailed:
-    """The failure of a goal none of whose configurations (n, 7) is free."""
+    """The failure if none of a goal's configurations (n, 7) is free."""
     distance_m, names = max(scene.clearance_m(one) for one in q[:: max(1, len(q) // _LOOKED_AT)])
     which = f" in any of its {len(q)} configurations: at best " if len(q) > 1 else ": "
     return SkillFailed(Code.ARM_NO_PATH, f"the arm cannot stand at {name}{which}{_apart(distance_m, names)}")
 
 
 def no_way(scene: Scene, name: str, start: Floats, goals: Floats) -> SkillFailed:
-    """The failure of a search from a start (7,) to goals (n, 7), with the bodies that straight ways there run into."""
+    """The failure of a search from a start (7,) to goals (n, 7), naming what straight ways there run into."""
     nearest = goals[np.argsort(np.abs(goals - start).max(axis=1), kind="stable")[:_WAYS]]
     met: Counter[str] = Counter()
     for goal in nearest:
@@ -62,7 +62,7 @@ def no_way(scene: Scene, name: str, start: Floats, goals: Floats) -> SkillFailed
 
 
 def closest_pair(scene: Scene, q: Floats) -> str:
-    """What is nearest to what at a configuration, in words."""
+    """The closest pair at a configuration, and its distance, as text."""
     return _apart(*scene.clearance_m(q))
 
 

@@ -1,9 +1,9 @@
-"""What is free: single configurations, and straight lines of the planning coordinates (`coordinates`).
+"""Free space: which configurations, and which straight lines of the planning coordinates (`coordinates`), are free.
 
-A configuration is free where the scene does not hit it and, for a load, the cone leans by no more than a limit. A line
-is free where samples of it are, so close together that nothing can touch in between (`swept_bound`).
+A configuration is free if the scene does not hit it and, for a load, the cone's tilt is within a limit. A line is free
+if its samples are, close enough together that nothing can touch in between (`swept_bound`).
 
-Planning coordinates c shape (7,), lines as their two ends; joints [rad] (n, 7).
+Planning coordinates c have the shape (7,), lines are given by their ends; joints [rad] (n, 7).
 """
 
 from collections.abc import Callable
@@ -16,12 +16,13 @@ from scuhand_bt.motion.kinematics import Floats, Mount, axis_heights
 
 _BATCH = 48
 _GLANCES = ((0.5,), (0.25, 0.75), (0.12, 0.37, 0.62, 0.88))
-"""Where lines are glanced at, as shares: those that are hit drop out early."""
+"""Where lines are sampled first, as shares, in stages: lines that are hit drop out early."""
 _MOST_SAMPLES = 400
+"""Most samples of one line in level coordinates."""
 
 
 class Space:
-    """What is free in one system of coordinates: what the scene does not hit and what keeps the cone upright."""
+    """Free space in one system of coordinates: not hit by the scene, and within the tilt limit."""
 
     def __init__(
         self, coordinates: Coordinates, scene: Scene, mount: Mount, tilt_limit_deg: float | None = None
@@ -32,7 +33,7 @@ class Space:
         self._upright = None if tilt_limit_deg is None else float(np.cos(np.radians(tilt_limit_deg)))
 
     def edge(self, c0: Floats, c1: Floats) -> tuple[Floats, Floats]:
-        """Shares (n,) and joints (n, 7) along the line, as close together as its proof needs."""
+        """Shares (n,) and joints (n, 7) along the line, as dense as its proof needs."""
         if isinstance(self.coordinates, JointCoordinates):
             return self.scene.line(c0, c1)
         count = 12
@@ -42,7 +43,7 @@ class Space:
             passed_m = float(self.scene.bound.passed_m(q).max())
             if passed_m <= self.scene.margin_m:
                 break
-            # A wrist that turns fast past its singularity would ask for thousands; its motion is proven later, or not.
+            # A wrist passing its singularity would need thousands of samples. Its motion is proven later anyway.
             count = min(int((count - 1) * passed_m / (0.98 * self.scene.margin_m)) + 2, _MOST_SAMPLES)
         return shares, q
 
@@ -55,7 +56,7 @@ class Space:
         return bool(self._upright is not None and self._leans(q).any()) or self.scene.any_hit(q)
 
     def first_look(self, q: Floats) -> np.ndarray:
-        """Most of those that are not free, at a fraction of the price: (n,)."""
+        """Most of those that are not free, at a fraction of the cost: (n,)."""
         return self._seen(q, self.scene.first_hits)
 
     def _seen(self, q: Floats, hits: Callable[[Floats], np.ndarray]) -> np.ndarray:
@@ -71,7 +72,7 @@ class Space:
         return leans
 
     def glance(self, first: Floats, last: Floats) -> np.ndarray:
-        """Which of the lines from (n, 7) to (n, 7) look free at a few samples, all looked at in one go: (n,)."""
+        """Which of the lines from (n, 7) to (n, 7) look free at a few samples, all tested at once: (n,)."""
         left = np.arange(len(first))
         for look in _GLANCES:
             shares = np.array(look)[:, None, None]
@@ -104,7 +105,7 @@ class Space:
         return len(q)
 
     def free(self, c0: Floats, c1: Floats) -> bool:
-        """Whether all of the line is free."""
+        """Whether the whole line is free."""
         if isinstance(self.coordinates, JointCoordinates) and self._upright is None:
             return self.scene.line_free(c0, c1)
         return not self.any_blocked(self.edge(c0, c1)[1])

@@ -1,11 +1,11 @@
-"""Every way of putting the cone's apex somewhere: the arm's closed-form inverse kinematics.
+"""The arm's closed-form inverse kinematics: all configurations that put the cone's apex somewhere.
 
-In the symbols of `kinematics`, given apex p, axis u and the yaw of the handle about u, the seam is
+In the symbols of `kinematics`, given apex p, axis u and the handle's yaw about u, the seam is
 
-    s(yaw) = u cos(lean) + (x cos(yaw) + y sin(yaw)) sin(lean),       x, y level across u
+    s(yaw) = u cos(lean) + (x cos(yaw) + y sin(yaw)) sin(lean),       x, y orthogonal to u
 
-and the wrist W = p + L s. Yaw and the elbow's swivel are free (`elbow_circle`), and q7 follows: it turns the cone's
-axis to u. Yaws are looked at 5 deg apart. Arms of another kind answer the same (`decomposed`).
+and the wrist W = p + L s. Yaw and the elbow's swivel are free (`elbow_circle`). q7 follows, as it turns the cone's
+axis to u. Other arms (`decomposed`) are handled by the same functions.
 
 Lengths in metres, angles in radians, numpy only.
 """
@@ -47,7 +47,7 @@ YAWS = 72
 
 
 def seams_of(pose: ApexPose, mount: Mount, count: int = YAWS) -> Floats:
-    """The seams that a pose allows: its own, or as many as asked, evenly about its axis: (n, 3)."""
+    """The seams that a pose allows: its own, or `count` evenly about its axis: (n, 3)."""
     if pose.seam is not None:
         return pose.seam[None, :]
     u = pose.axis
@@ -71,10 +71,10 @@ def _even_swivels() -> Floats:
 
 
 def solutions(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> Floats:
-    """Every configuration that puts the apex at the pose: shape (n, 7).
+    """Configurations (n, 7) that put the apex at the pose, on a grid of the two free angles.
 
-    The family has two parameters: every 5 deg of swivel for a pose with its seam, every 10 deg of yaw and of swivel
-    for one whose yaw is free; where those find none, every 5 deg of yaw and the middle of each arc of swivels.
+    With a seam: every 5 deg of swivel. With a free yaw: every 10 deg of yaw and of swivel. If these find none: every 5
+    deg of yaw and the middle of each arc of swivels.
     """
     seams = seams_of(pose, mount, YAWS // 2)
     if mount.arm is not None:
@@ -90,7 +90,7 @@ def solutions(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> Floa
 
 
 def some_solutions(pose: ApexPose, mount: Mount, limits: Floats, count: int) -> Floats:
-    """Configurations of a pose at so many yaws and swivels, evenly spread; it may have others where there is none."""
+    """Configurations of a pose at `count` yaws and swivels. Others may exist even if these are none."""
     seams = seams_of(pose, mount, count)
     if mount.arm is not None:
         return mount.arm.solutions(pose, seams, mount, limits)
@@ -98,7 +98,7 @@ def some_solutions(pose: ApexPose, mount: Mount, limits: Floats, count: int) -> 
 
 
 def _more_closely(pose: ApexPose, mount: Mount, limits: Floats) -> Floats:
-    """For an arm of another kind: at all yaws, and as finely as where the yaw is not free."""
+    """For an arm of another kind: at all yaws, each with the fine grid of swivels."""
     assert mount.arm is not None
     seams = seams_of(pose, mount)
     return np.vstack([mount.arm.solutions(pose, seam[None, :], mount, limits) for seam in seams])
@@ -118,7 +118,7 @@ def _on_grid(pose: ApexPose, seams: Floats, swivels: Floats, mount: Mount, limit
 
 
 def _turned_within(q: Floats, axis: Floats, mount: Mount, limits: Floats) -> Floats:
-    """Configurations with their wrist turned for the axis, those within the limits."""
+    """Configurations with the wrist turned for the axis; only those within the limits."""
     if not len(q):
         return q
     q = with_wrist_turned(q, np.broadcast_to(axis, (len(q), 3)), mount)
@@ -133,13 +133,13 @@ def _at_arcs(circle: Circle, limits: Floats) -> Floats:
 
 
 def _in_arcs(circle: Circle, limits: Floats) -> Floats:
-    """Of those, the ones whose first six joints keep their limits."""
+    """The same, where the first six joints keep their limits."""
     q = _at_arcs(circle, limits)
     return q[_within(q, limits)]
 
 
 def neighbours(pose: ApexPose, q: Floats, mount: Mount, spread_rad: float, count: int) -> Floats:
-    """Solutions of the same branch and yaw within `spread_rad` of swivel around the solution q: shape (n, 7)."""
+    """Solutions (n, 7) of the same branch and yaw within `spread_rad` of swivel around the solution q."""
     seam = apex(q, mount).seam
     assert seam is not None  # every configuration has one
     circle = circle_of(pose.position_m, pose.axis, seam, mount)
@@ -152,10 +152,10 @@ def neighbours(pose: ApexPose, q: Floats, mount: Mount, spread_rad: float, count
 
 
 def finest(pose: ApexPose, q: Floats, mount: Mount, spread_rad: float = 0.05) -> Floats:
-    """The neighbour of the solution q whose servo counts, once rounded, hit the pose best: shape (7,).
+    """The neighbour of the solution q whose angles, rounded to servo counts, come closest to the pose: (7,).
 
-    One count is 0.09 deg; along the elbow's family some configurations lie much nearer to whole
-    counts than others, which makes the commanded apex some ten times more exact at no cost.
+    One count is 0.09 deg. Some configurations of the elbow's family lie much nearer to whole counts than others, which
+    makes the commanded apex some ten times more exact at no cost.
     """
     family = neighbours(pose, q, mount, spread_rad, 400)
     if not len(family):
@@ -166,7 +166,7 @@ def finest(pose: ApexPose, q: Floats, mount: Mount, spread_rad: float = 0.05) ->
 
 
 def unreachable_reason(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> str | None:
-    """Why no configuration within the joints' limits reaches the pose, or None where one does."""
+    """Why no configuration within the joints' limits reaches the pose; None if one does."""
     if len(solutions(pose, mount, limits)):
         return None
     seams = seams_of(pose, mount)
@@ -190,7 +190,7 @@ def unreachable_reason(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD
 
 
 def swivel_of(q: Floats, mount: Mount) -> float:
-    """The elbow's swivel angle phi of a configuration; the held joint's of an arm of another kind."""
+    """The elbow's swivel angle phi of a configuration; for an arm of another kind the held joint's angle."""
     if mount.arm is not None:
         return mount.arm.swivel_of(q)
     pose = apex(q, mount)
@@ -202,9 +202,9 @@ def swivel_of(q: Floats, mount: Mount) -> float:
 
 
 def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, mount: Mount) -> Floats | None:
-    """All configurations of poses (n, 3) three times, at each of m swivels: (n, m, 4, 7), limits ignored.
+    """All configurations of poses (three times (n, 3)) at each of m swivels: (n, m, 4, 7), limits ignored.
 
-    None where a pose is beyond the arm. For an arm of another kind (n, m, 8, joints), not a number where there is none.
+    None if a pose is out of reach. For an arm of another kind (n, m, 8, joints), NaN where there is none.
     """
     n, m = len(positions_m), len(swivels)
     if mount.arm is not None:
@@ -218,9 +218,9 @@ def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Float
 
 
 def nearest_configuration(q: Floats, pose: ApexPose, mount: Mount) -> Floats:
-    """The configuration of a pose with a seam nearest to q (7,), with q's own swivel: (1, 7), or (0, 7) if it has none.
+    """The configuration of a pose with a seam nearest to q (7,), with q's own swivel: (1, 7), or (0, 7) for none.
 
-    For a pose that is hardly another no configuration on a grid of swivels is so near.
+    For a pose close to q's own, no configuration on a grid of swivels is so near.
     """
     assert pose.seam is not None
     swivel = np.array([swivel_of(q, mount)])
@@ -239,7 +239,7 @@ def within_limits(q: Floats, mount: Mount) -> NDArray[np.bool_]:
 
 
 def swivel_grid(mount: Mount, begin: float) -> Floats:
-    """Swivel angles evenly over a turn from this one on; one where the arm has none to spare."""
+    """Swivel angles evenly over one turn, beginning at `begin`; a single one if the arm has no free swivel."""
     if mount.arm is not None and mount.arm.held is None:
         return np.zeros(1)
     return begin + 2 * math.pi * np.arange(SWIVELS) / SWIVELS
@@ -248,10 +248,10 @@ def swivel_grid(mount: Mount, begin: float) -> Floats:
 def along(
     positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, q_start: Floats, mount: Mount
 ) -> Floats | None:
-    """Configurations (n, 7) of a course of poses (n, 3) three times and swivels (n,), on q_start's branch.
+    """Configurations (n, 7) along a course of poses (three times (n, 3)) and swivels (n,), on q_start's branch.
 
-    The axes may lean from the seams as the cone's size along the course has it. None where a pose is beyond the arm,
-    or a joint would leave its limits or jump.
+    The axes may lean from the seams differently along the course, as the cone's size changes. None if a pose is out of
+    reach, or a joint would leave its limits or jump.
     """
     if mount.arm is not None:
         return mount.arm.along(positions_m, axes, seams, swivels, q_start, mount)

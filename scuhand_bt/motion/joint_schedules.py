@@ -1,24 +1,24 @@
-"""Every joint in its own time: motions as long as the slowest joint needs, or hardly longer.
+"""Joint schedules: each joint moves in its own time, in motions hardly longer than the slowest joint needs.
 
-From rest to rest the slowest joint sets the duration; every other joint has time left, and *when* it
-uses that time decides what the arm touches on its way. A schedule gives each joint one leg from its
-start to its goal, or two legs by way of a turning point, each the shortest from rest to rest or
-evenly slower, and divides its spare time among waiting, going slower, and pausing:
+From rest to rest the slowest joint sets the duration. All others have spare time, and *when* they use it decides what
+the arm touches. A schedule gives each joint one leg from start to goal, or two legs by way of a turning point. Each
+leg is time-optimal from rest to rest or uniformly slower, and the joint's spare time is divided among waiting, going
+slower and pausing:
 
     wait | first leg | pause | second leg | wait        durations add up to T for every joint
 
-A joint that turns back need not rest there: its second leg begins while the first one's braking still fades, as the two
-ramps of jerk cancel, unless it pauses. So the duration T is chosen first, and what is searched is a schedule of that
-duration that touches nothing. A leg is the sum of eight steps of jerk at the times t_i,
+A joint that turns back need not rest there. Unless it pauses, its second leg begins while the first one's braking ramp
+still fades, as the two ramps of jerk cancel. So the duration T is chosen first, and the search is for a schedule of
+that duration that touches nothing. A leg is the sum of eight jerk steps at the times t_i,
 
     q(t) = q0 + sum_i s_i/6 max(0, t - t_i)^3
 
-which looks at hundreds of schedules at once with a few operations on arrays.
+so hundreds of schedules can be sampled at once with a few array operations.
 
 Joints that turn at different times tilt a load. So for a load most schedules are drawn *in step*: all joints rest at
-their turning points at once, and the cone is level there. Changes of the best one loosen that where it is quicker.
+their turning points at once, with the cone level. Changes of the best one loosen that where it is quicker.
 
-Joints [rad] (n, 7), durations and times [s]; randomness is the caller's.
+Joints [rad] (n, 7), durations and times [s]; the caller provides the random generator.
 """
 
 import itertools
@@ -35,42 +35,45 @@ from scuhand_bt.motion.timelaw import RateLimits, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
 
 Legs: TypeAlias = tuple[Floats, Floats, Floats]
-"""Of every joint: times and steps of jerk (..., 8), and how long it takes (...)."""
+"""For every joint: times and jerk steps (..., 8), and the duration (...)."""
 
 _PROPOSALS = 160
+"""Schedules per round."""
 _LOOKS = tuple(
     (tuple((2 * k + 1) / 2 ** (level + 1) for k in range(2**level)), kept) for level, kept in enumerate((80, 40, 16, 6))
 )
-"""When schedules have a first look, as shares of their durations, ever finer, and how many are kept of each."""
+"""Stages of the first look: the sample times as shares of the duration, ever finer, and how many schedules are kept."""
 _LAST_LOOK = np.array([(2 * k + 1) / 32 for k in (7, 8, 5, 10, 3, 12, 6, 9, 4, 11, 1, 14, 2, 13, 0, 15)])
-"""And when each of those that are left is looked at against everything, its middle first."""
+"""Sample times of the last look, at which the rest is tested against everything; the middle comes first."""
 _MOST_PROVEN = 3
-"""Of those that are free then, so many are proven."""
+"""How many schedules that pass the last look are proven."""
 _NEAR_PART = 0.7
-"""Share of the proposals that change the best schedule instead of being drawn anew."""
+"""Share of the proposals that are changes of the best schedule instead of new ones."""
 _NEAR_SPAN = 0.6
 _TURNING = np.array([0.7, 0.8, 0.7, 0.95, 0.7, 0.7, 0.7])
-"""How often each joint takes a turning point; the elbow does most, as opening it lifts the hand over what stands."""
+"""How often each joint gets a turning point; most often the elbow, as opening it lifts the hand over obstacles."""
 _TURN_RAD = np.array([0.3, 0.3, 0.3, 0.2, 0.3, 0.3, 0.3])
-"""The standard deviation of a turning point about its joint's straight way."""
+"""Standard deviation of a turning point about the joint's straight way."""
 _LIFT_RAD = np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
-"""And by how much it lies beside it: the elbow's towards the stretched arm."""
+"""Mean offset of a turning point from the straight way: the elbow's is towards the stretched arm."""
 _ANY_TURNING, _ANY_TURN_RAD = 0.75, 0.3
-"""The first two for every joint of an arm of another kind, of whose elbow nothing is known."""
+"""The first two for every joint of an arm of another kind, whose elbow is not known."""
 _IN_STEP_PART = 0.6
-"""Share of a load's fresh proposals that are in step."""
+"""Share of a load's new proposals that are in step."""
 _IN_STEP_RAD = 0.3
+"""Standard deviation of their turning points."""
 _LEAST_SHARE = 0.01
-"""Of the spare time, so that a schedule in step can be changed to one that is not."""
+"""Least share of the spare time of each part, so that a schedule in step can be changed to one that is not."""
 _FIRST_UPTO = 2.0
-"""Times the least bound, what the first round looks at; a half more in every round that finds nothing."""
+"""Longest duration in the first round, relative to the least bound; half more in each round that finds nothing."""
 _QUICKER = 0.985
+"""Later schedules must be quicker than the best by this factor."""
 _LEAST_S = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Schedules:
-    """n schedules: goals (n, 7), durations (n,), turning points (n, 7), shares of spare time (n, 7, 5)."""
+    """n schedules: goals (n, 7), durations (n,), turning points (n, 7), shares of the spare time (n, 7, 5)."""
 
     goals: Floats
     durations_s: Floats
@@ -87,7 +90,7 @@ class Schedules:
 def jerk_steps(start: Floats, some: Schedules, limits: RateLimits) -> tuple[Floats, Floats]:
     """Times and jerk steps of every joint of every schedule: (n, 7, 16) each.
 
-    A joint that has no time for its turning point goes straight.
+    A joint without time for its turning point goes straight.
     """
     total_s = some.durations_s[:, None]
     firsts, first_steps, first_s = legs(some.turns - start, limits)
@@ -104,7 +107,9 @@ def jerk_steps(start: Floats, some: Schedules, limits: RateLimits) -> tuple[Floa
 
 
 def one_after_another(first: Legs, second: Legs, merged_s: Floats, spare: Floats) -> tuple[Floats, Floats]:
-    """Times and jerk steps (..., 16) of two legs that overlap by so much, with waiting and so on [s] (..., 5)."""
+    """Times and jerk steps (..., 16) of two legs that overlap by `merged_s`; `spare` [s] (..., 5) are the other
+    parts.
+    """
     (firsts, first_steps, first_s), (seconds, second_steps, second_s) = first, second
     slow_first = 1 + spare[..., 1] / np.maximum(first_s, _LEAST_S)
     slow_second = 1 + spare[..., 3] / np.maximum(second_s, _LEAST_S)
@@ -121,10 +126,10 @@ def one_after_another(first: Legs, second: Legs, merged_s: Floats, spare: Floats
 
 
 def merged_ramps_s(firsts: Floats, first_steps: Floats, seconds: Floats, second_steps: Floats) -> Floats:
-    """By how much two legs (..., 8), times and steps of jerk, may overlap: the shorter ramp where a joint turns back.
+    """How much two legs may overlap [s]: the shorter ramp where a joint turns back. Times and jerk steps (..., 8).
 
-    The first leg's last ramp and the second one's first have opposite jerks then, and accelerations of one sign: these
-    are straight lines in time, so their sum is never more than the greater of them. Slowed, ramps are longer.
+    The last ramp of the first leg and the first ramp of the second then have opposite jerks and accelerations of the
+    same sign. Both are linear in time, so their sum never exceeds the larger. Slowed legs have longer ramps.
     """
     turns_back = first_steps[..., 0] * second_steps[..., 0] < 0
     merged_s: Floats = np.where(turns_back, np.minimum(firsts[..., 1], seconds[..., 1]), 0.0)
@@ -132,16 +137,16 @@ def merged_ramps_s(firsts: Floats, first_steps: Floats, seconds: Floats, second_
 
 
 def positions(start: Floats, times_s: Floats, steps: Floats, at_s: Floats) -> Floats:
-    """Where n schedules are at m times each (n, m): (n, m, 7)."""
+    """Positions of n schedules at m times each (n, m): (n, m, 7)."""
     since = np.maximum(at_s[:, :, None, None] - times_s[:, None], 0.0)
     moved: Floats = np.einsum("nmjk,njk->nmj", since * since * since, steps)
     return start + moved / 6
 
 
 class ScheduleSearch:
-    """Searches schedules for a start and goals (n, 7) that come with their bounds [s] (n,).
+    """Searches schedules from a start to goals (n, 7) that are sorted by their bounds [s] (n,).
 
-    `level` are the coordinates by which the cone of a load is kept level, None for an empty one.
+    `level` are the coordinates in which a load's cone is kept level; None for an empty one.
     """
 
     def __init__(
@@ -157,7 +162,7 @@ class ScheduleSearch:
         self._start, self._goals, self._bounds_s = start, goals, bounds_s
         self.motion: JointTrajectory | None = None
         self.best: Schedules | None = None
-        """Of the quickest motion found, its schedule: one."""
+        """The schedule of the quickest motion found."""
         self._habits = (_TURNING, _TURN_RAD, _LIFT_RAD)
         if prover.mount.arm is not None:
             same = np.ones(len(start))
@@ -172,13 +177,10 @@ class ScheduleSearch:
         idle_rounds: int,
         ends: Callable[[JointTrajectory | None], bool],
     ) -> JointTrajectory | None:
-        """The quickest proven schedule found in so many rounds, or what is known already.
+        """The quickest proven schedule within so many rounds, or `known`.
 
-        Of durations `wanted_s` none is drawn that is quicker than the first, and none improved on that is within the
-        second.
-
-        Once there is one, so many `idle_rounds` in a row that find none quicker end the search, as `ends` does, which
-        is asked with the best so far.
+        `wanted_s`: no duration below the first is drawn, and a motion within the second ends the search. So do
+        `idle_rounds` in a row that find nothing quicker, and `ends`, which is asked with the best motion so far.
         """
         best, idle = known, 0
         wanted_least_s, good_s = wanted_s
@@ -212,12 +214,12 @@ class ScheduleSearch:
         return fresh if self._level is None else self._in_step(fresh, self._level, rng)
 
     def _in_step(self, some: Schedules, level: Coordinates, rng: np.random.Generator) -> Schedules:
-        """The first of some schedules changed so that all joints turn at once, the cone level, if they have time."""
+        """Change the first ones so that all joints turn at once, with the cone level, if they have time."""
         count = int(_IN_STEP_PART * len(some))
         goals, total_s = some.goals[:count], some.durations_s[:count]
         c = self._start + rng.uniform(size=(count, 1)) * (goals - self._start) + self._habits[2]
         c += _IN_STEP_RAD * rng.normal(size=c.shape)
-        c[:, -2:] = 0.0  # the last two of the level coordinates are the axis'
+        c[:, -2:] = 0.0  # the axis' horizontal components
         turns = self._within(level.joints(c))
         firsts, first_steps, first_s = legs(turns - self._start, self._limits)
         seconds, second_steps, second_s = legs(goals - turns, self._limits)
@@ -237,7 +239,7 @@ class ScheduleSearch:
     def _near(
         self, parent: Schedules, fresh: Schedules, span_s: tuple[float, float], rng: np.random.Generator
     ) -> Schedules:
-        """Part of the fresh ones replaced by changes of the parent, of durations within a span."""
+        """Replace part of the fresh ones by changes of the parent, with durations within a span."""
         least_s, most_s = span_s
         count = int(_NEAR_PART * len(fresh))
         size = rng.uniform(0.05, 0.6, (count, 1))
@@ -258,7 +260,7 @@ class ScheduleSearch:
         )
 
     def _bound_s(self, schedule: Schedules) -> float:
-        """The shortest duration in which one schedule's goal can be reached."""
+        """The shortest duration in which the schedule's goal can be reached."""
         return float(rest_to_rest_s(schedule.goals[0] - self._start, self._limits))
 
     def _within(self, q: Floats) -> Floats:
@@ -266,7 +268,7 @@ class ScheduleSearch:
         return inside
 
     def _first_proven(self, some: Schedules, best: JointTrajectory | None) -> tuple[JointTrajectory, Schedules] | None:
-        """The shortest of the schedules that is proven."""
+        """The shortest of the schedules that can be proven."""
         limit_s = np.inf if best is None else best.duration_s
         some = some.taken(np.argsort(some.durations_s, kind="stable"))
         times_s, steps = jerk_steps(self._start, some, self._limits)
@@ -279,7 +281,7 @@ class ScheduleSearch:
         return None
 
     def _look_free(self, durations_s: Floats, times_s: Floats, steps: Floats) -> Iterator[int]:
-        """The schedules that look free, in their order: those that are hit drop out look by look."""
+        """The schedules that look free, in order; those that are hit drop out look by look."""
         left = np.arange(len(durations_s))
         space = self._prover.space
         for shares, kept in _LOOKS:

@@ -1,19 +1,21 @@
-"""Where the cone's apex is: the arm's forward kinematics.
+"""The arm's forward kinematics: where the cone's apex is.
 
-The CRANE-X7 is a spherical-revolute-spherical arm, and the hand holds its cone as a ladle's handle holds the bowl: the
-apex is on the axis of the last joint, the handle's, which the slit's edge (the seam) continues, and the cone's own axis
-leans from there by the cone's half-angle (what the apex was measured to be beside it, `Mount.aside_m`, is left out):
+The CRANE-X7 is a spherical-revolute-spherical arm. The hand holds its cone as a ladle's handle holds the bowl. The
+apex lies on the axis of the last joint, the handle's axis, and the slit's edge (the seam) continues the handle. The
+cone's own axis leans from there by the cone's half-angle. (A measured offset of the apex, `Mount.aside_m`, is left out
+here.)
 
     R = Rz(q1) Ry(-q2) Rz(q3) Ry(-q4) Rz(q5) Ry(-q6) Rz(q7)
     apex = S + l e + l f + L h,      e, f, h = the third columns of R up to q2, q4, q6
     seam s = -h,     up axis u = R a,     a = (sin(lean) cos(azimuth), sin(lean) sin(azimuth), -cos(lean))
 
-S   shoulder centre (0, 0, 0.105) m          l   upper arm = forearm = 0.250 m
-L   wrist centre to apex: 0.019 m + `offset_m` (flange to apex)
-e, f, h   unit vectors along the upper arm, the forearm and the handle
+    S         shoulder centre (0, 0, 0.105) m
+    l         upper arm = forearm = 0.250 m
+    L         wrist centre to apex: 0.019 m + `offset_m` (flange to apex)
+    e, f, h   unit vectors along the upper arm, the forearm and the handle
 
-Figures: `crane-x7_links.csv` of rt-net/rt_manipulators_cpp (Apache-2.0). Lengths in metres, angles in
-radians, numpy only.
+Figures: `crane-x7_links.csv` of rt-net/rt_manipulators_cpp (Apache-2.0). Lengths in metres, angles in radians, numpy
+only.
 """
 
 import math
@@ -36,7 +38,7 @@ SHOULDER_Z_M = 0.105
 LINK_M = 0.250
 WRIST_TO_FLANGE_M = 0.019
 LIMITS_RAD: Floats = np.radians([[-157, -90, -157, -159, -157, -90, -167], [157, 90, 157, 0, 157, 90, 167]])
-"""Lower and upper joint limits, shape (2, 7): the servos' own windows."""
+"""Lower and upper joint limits, shape (2, 7): the windows of the servos."""
 COUNT_RAD = 2 * math.pi / 4096
 """One count of the servos' encoders; zero is at the middle of a count."""
 
@@ -45,7 +47,8 @@ COUNT_RAD = 2 * math.pi / 4096
 class Mount:
     """How the hand holds a cone of one size: the apex on the j7 axis, the cone's axis leaning from it.
 
-    `lean_rad` is the cone's half-angle; `azimuth_rad` which way the cone lies from the j7 axis, from the flange's x.
+    `lean_rad` is the cone's half-angle. `azimuth_rad` is the direction in which the cone lies from the j7 axis,
+    counted from the flange's x.
     """
 
     offset_m: float
@@ -53,15 +56,15 @@ class Mount:
     lean_rad: float
     azimuth_rad: float = 0.0
     aside_m: tuple[float, float] = (0.0, 0.0)
-    """The apex beside the j7 axis, along x and y of the flange."""
+    """Offset of the apex from the j7 axis, along x and y of the flange."""
     arm: "DecomposedArm | None" = None
-    """What holds the hand, where it is not the CRANE-X7."""
+    """The arm that holds the hand, if it is not the CRANE-X7."""
 
     @classmethod
     def of(
         cls, hand: HandSpec, diameter_mm: float = MOUNTED_DIAMETER_MM, arm: "DecomposedArm | None" = None
     ) -> "Mount":
-        """This hand's, with a rim of this diameter; ValueError for one that the sheet cannot make."""
+        """This hand's mount with a rim of this diameter. Raises ValueError if the sheet cannot make it."""
         lean_rad = math.asin(diameter_mm / (2 * hand.sheet_radius_mm))
         azimuth_rad = math.radians(hand.mount.azimuth_deg)
         return cls(hand.apex_offset_mm / 1e3, lean_rad, azimuth_rad, _in_metres(hand), arm)
@@ -77,9 +80,10 @@ class Mount:
         return WRIST_TO_FLANGE_M + self.offset_m
 
     def wrists_m(self, positions_m: Floats, axes: Floats, seams: Floats) -> Floats:
-        """Where the wrist's centre is for an apex, a cone's axis and a seam, (3,) or (n, 3) each: the same shape.
+        """The wrist's centre for an apex, a cone axis and a seam, (3,) or (n, 3) each: the same shape.
 
-        The part b of the axis across the seam lies in the flange's azimuth, whatever the lean; h x b completes it.
+        The component b of the axis orthogonal to the seam points in the flange's azimuth, whatever the lean; h x b
+        completes the frame.
         """
         wrists_m: Floats = positions_m + self.length_m * seams
         x_m, y_m = self.aside_m
@@ -105,9 +109,9 @@ class Mount:
 class ApexPose:
     """Where the cone's apex is and which way the cone is up.
 
-    `position_m` shape (3,) in the base frame; `axis` shape (3,), a unit vector, (0, 0, 1) for a cone
-    that stands level; `seam` shape (3,), a unit vector along the slit's edge to the handle, or None where the yaw about
-    the axis is free. ValueError for anything that is not finite or no unit vector.
+    `position_m` (3,) is in the base frame. `axis` (3,) is a unit vector, (0, 0, 1) for a level cone. `seam` (3,) is a
+    unit vector along the slit's edge to the handle, or None if the yaw about the axis is free. Raises ValueError for
+    anything not finite or not of unit length.
     """
 
     position_m: Floats
@@ -135,7 +139,7 @@ class ApexPose:
 
     @property
     def digest(self) -> bytes:
-        """Of all of it."""
+        """Bytes that identify it."""
         return b"".join(part.tobytes() for part in (self.position_m, self.axis, self.seam) if part is not None)
 
     @property
@@ -150,13 +154,13 @@ def _in_metres(hand: HandSpec) -> tuple[float, float]:
 
 
 def apex(q: ArrayLike, mount: Mount) -> ApexPose:
-    """The apex pose of a configuration q [rad], shape (7,), seam included: a few microseconds of plain floats."""
+    """The apex pose, with its seam, of a configuration q [rad] (7,). Takes a few microseconds, in plain floats."""
     if mount.arm is not None:
         return mount.arm.apex(np.asarray(q, dtype=float), mount)
     q1, q2, q3, q4, q5, q6, q7 = np.asarray(q, dtype=float).tolist()
     c1, s1, c3, s3, c5, s5 = math.cos(q1), math.sin(q1), math.cos(q3), math.sin(q3), math.cos(q5), math.sin(q5)
     c2, s2, c4, s4, c6, s6 = math.cos(q2), math.sin(q2), math.cos(q4), math.sin(q4), math.cos(q6), math.sin(q6)
-    # From the hand back to the base: h and u in the elbow's frame, then the shoulder's, then the base's.
+    # From hand to base: h and u in the elbow's frame, then in the shoulder's, then in the base's.
     length_m, level = mount.length_m, math.sin(mount.lean_rad)
     ux, uy, uz = (
         level * math.cos(mount.azimuth_rad + q7),
@@ -214,12 +218,12 @@ def apex_frames(q: Floats, mount: Mount) -> tuple[Floats, Floats, Floats]:
 
 
 def axis_heights(q: Floats, mount: Mount) -> Floats:
-    """The vertical component of the cones' axes, the cosine of their tilt: (n, 7) to (n,)."""
+    """Vertical components of the cones' axes, the cosines of their tilts: (n, 7) to (n,)."""
     if mount.arm is not None:
         of_arm: Floats = mount.arm.frames(q, mount)[1][:, 2]
         return of_arm
     c, s = np.cos(q.T), np.sin(q.T)
-    # The vertical, seen from link after link; the first joint turns about it.
+    # The vertical in the frame of one link after another; the first joint turns about it.
     x, y, z = s[1], np.zeros(len(q)), c[1]
     for joint in range(2, 7):
         if joint % 2:
@@ -232,9 +236,9 @@ def axis_heights(q: Floats, mount: Mount) -> Floats:
 
 
 def with_wrist_turned(q: Floats, axes: Floats, mount: Mount) -> Floats:
-    """Configurations (n, 7) with the q7 that turns the cone's axis to `axes` (n, 3), as nearly as turning it can.
+    """Configurations (n, 7) with the q7 that turns the cone's axis as near to `axes` (n, 3) as possible.
 
-    q7 is in -pi..pi, whatever its limits.
+    q7 is in -pi..pi, regardless of its limits.
     """
     c, s = np.cos(q), np.sin(q)
     v = axes
@@ -246,7 +250,7 @@ def with_wrist_turned(q: Floats, axes: Floats, mount: Mount) -> Floats:
 
 
 def _turned(v: Floats, c: Floats, s: Floats, joint: int) -> Floats:
-    """Vectors (..., n, 3) turned by one joint: about z for the even ones, about -y for the odd."""
+    """Vectors (..., n, 3) rotated by one joint: about z for even ones, about -y for odd ones."""
     cj, sj = c[:, joint], s[:, joint]
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
     if joint % 2:
@@ -255,7 +259,7 @@ def _turned(v: Floats, c: Floats, s: Floats, joint: int) -> Floats:
 
 
 def checked_joints(q: ArrayLike, limits: Floats = LIMITS_RAD) -> Floats:
-    """A configuration as a fresh (7,) float array; ValueError or SkillFailed arm.joint_limit if it is none."""
+    """A copy of a configuration as a (7,) float array. Raises ValueError, or SkillFailed arm.joint_limit."""
     joints = np.array(q, dtype=float)
     if joints.shape != limits[0].shape or not np.isfinite(joints).all():
         raise ValueError(f"a configuration is {len(limits[0])} finite angles in radians, not {q!r}")
@@ -267,6 +271,6 @@ def checked_joints(q: ArrayLike, limits: Floats = LIMITS_RAD) -> Floats:
             f"joint {joint + 1} is at {math.degrees(joints[joint]):.1f} deg, outside "
             f"{math.degrees(limits[0, joint]):.0f}..{math.degrees(limits[1, joint]):.0f} deg",
         )
-    # Within one encoder count of a limit the servo itself calls it inside.
+    # The servo itself accepts up to one encoder count beyond a limit.
     clipped: Floats = np.clip(joints, limits[0], limits[1])
     return clipped

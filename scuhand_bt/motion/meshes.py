@@ -1,7 +1,7 @@
-"""Meshes of what stands in the cell: the triangles of an STL or OBJ file, looked at by coal one by one.
+"""Meshes of what stands in the cell: triangles of an STL or OBJ file, which coal tests one by one.
 
-A mesh is its surface, not what is inside. That is enough: the arm comes from outside, and no motion passes a surface
-unseen, however thin it is (`collision`).
+A mesh is only a surface, without an inside. That suffices: the arm comes from outside, and no motion passes through a
+surface unnoticed, however thin it is (`collision`).
 """
 
 from functools import lru_cache
@@ -10,15 +10,15 @@ import coal
 import numpy as np
 
 SMALLEST_M, LARGEST_M = 1e-3, 20.0
-"""Across: what is smaller or larger has been read in another unit."""
+"""Largest extent of a plausible mesh: from, to. Others were probably read in a wrong unit."""
 MOST_TRIANGLES = 200_000
 
 
 @lru_cache(maxsize=16)
 def read_mesh(path: str, unit_m: float, digest: str) -> coal.BVHModelBase:
-    """The surface in a file, one of whose units is `unit_m`; `digest` tells files of one name apart.
+    """The surface in a file whose unit is `unit_m`; `digest` distinguishes files with the same name in the cache.
 
-    ValueError for what is no mesh, or none of a fixture's size.
+    Raises ValueError if it is no mesh, or not of a plausible size.
     """
     del digest
     try:

@@ -1,9 +1,9 @@
-"""Which shapes of neighbouring links can meet at all, and are looked at: those of links at most two joints apart.
+"""Which shapes of neighbouring links (at most two joints apart) can meet, and so must be tested.
 
-The links' own bounding shapes overlap there by construction, or turn on the spot beside one another; what a URDF adds
-to them (a camera beside the fore arm) may be hit by what comes after. So each pair is measured over all windows:
+The links' own bounding shapes overlap there by construction, or turn on the spot side by side. Shapes that a URDF adds
+to them (such as a camera on the fore arm) may be hit by later links. So each pair is measured over all joint windows:
 
-    looked at    where its distance changes, is not always below a margin, and is not always far above one
+    tested    if its distance changes, is not always below a margin, and is not always far above it
 
 Distances in metres.
 """
@@ -17,20 +17,20 @@ import pinocchio as pin
 from scuhand_bt.motion.kinematics import Floats
 
 LINKS_APART = 2
-"""Links that are more joints apart are always looked at."""
+"""Links farther apart than this many joints are always tested."""
 _SAMPLES, _SEED = 400, 20
 _STEADY_M = 0.0015
-"""A distance that changes by less is of a shape that turns on the spot."""
+"""A distance that changes by less belongs to a shape that turns on the spot."""
 _ALWAYS_M, _FAR_M = 0.005, 0.03
 _LOOSE = {"upper_0", "fore_0"}
-"""Two capsules that bound the CRANE-X7's links loosely: bent the most, they meet, and the arm does not. What else need
-not be looked at is told by the cell (`may_touch`)."""
+"""Two capsules that bound the CRANE-X7's links loosely: they meet at the strongest bend although the arm does not. For
+other arms the cell lists such pairs (`may_touch`)."""
 
 
 def meeting(
     model: pin.Model, shapes: pin.GeometryModel, pairs: Sequence[tuple[int, int]], limits_rad: Floats
 ) -> list[tuple[int, int]]:
-    """Of pairs of shapes, those that may meet and need not."""
+    """The pairs of shapes that meet in some configurations but not in all."""
     asked = [(first, second) for first, second in pairs if not _is_loose(shapes, first, second)]
     if not asked:
         return []
@@ -49,7 +49,7 @@ def meeting(
 
 
 def neighbours(shapes: pin.GeometryModel, first: range, second: range) -> Iterator[tuple[int, int]]:
-    """Pairs, one of each range, of links that are at most two joints apart; the first is nearer to the base."""
+    """Pairs, one of each range, of links at most two joints apart; the first is nearer to the base."""
     objects = shapes.geometryObjects
     for one in first:
         for other in second:
@@ -58,7 +58,7 @@ def neighbours(shapes: pin.GeometryModel, first: range, second: range) -> Iterat
 
 
 def turns_on_the_spot(thing: pin.GeometryObject) -> bool:
-    """Whether turning the joint of a shape, about its z, leaves it as it was: a round one whose axis that is."""
+    """Whether a shape is round about its joint's axis z, so that turning the joint leaves it as it is."""
     if not isinstance(thing.geometry, coal.Capsule | coal.Cylinder | coal.Cone):
         return False
     axis, place = thing.placement.rotation[:, 2], thing.placement.translation

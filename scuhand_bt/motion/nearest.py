@@ -1,4 +1,4 @@
-"""The reachable pose nearest to one that is out of reach: what an `arm.unreachable` proposes."""
+"""The reachable pose nearest to one out of reach, which an `arm.unreachable` proposes."""
 
 import itertools
 import math
@@ -11,17 +11,16 @@ from scuhand_bt.motion.inverse import seams_of, some_solutions
 from scuhand_bt.motion.kinematics import LINK_M, SHOULDER_Z_M, ApexPose, Floats, Mount
 
 _YAWS = 12
-"""And as many swivels: so coarsely it is looked at, as a thousand poses may be."""
+"""Yaws, and as many swivels, that are tried for each pose. So few because up to a thousand poses are tried."""
 _LOOKED_AT = 16
-"""Of a pose's configurations, about how many are looked at for one that is free."""
+"""About how many configurations of a pose are tested for a free one."""
 
 
 def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | None:
-    """The pose of the same axis nearest to an unreachable one in which the arm can stand, on whole millimetres; None if
-    none within 0.6 m.
+    """The nearest free pose with the same axis, in whole millimetres; None if there is none within 0.6 m.
 
-    Shells of growing radius around the position (around where the arm, stretched towards it, ends, if that is
-    nearer) until one is met; from there steps that come nearer, ever smaller, until none of 0.2 mm does.
+    It tries shells of growing radius about the position, or about the end of the stretched arm if that is nearer. From
+    the first hit it takes ever smaller steps that come nearer, down to 0.2 mm.
     """
 
     def reached(position_m: Floats) -> bool:
@@ -44,7 +43,7 @@ def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | 
             step_m /= 2
         else:
             met, distance_m = best, float(np.linalg.norm(best - wanted_m))
-    # It lies on the edge of what can be reached: rounded anyhow, it could not be taken.
+    # It is on the edge of the reachable space, so plain rounding could leave that.
     whole_mm = np.round(1e3 * met) + np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
     whole_m = _first_reached(whole_mm / 1e3, wanted_m, reached)
     met = met if whole_m is None else whole_m
@@ -52,7 +51,7 @@ def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | 
 
 
 def _beyond_m(pose: ApexPose, mount: Mount) -> Floats:
-    """By how much a pose is farther than the arm, stretched towards it, ends: (3,)."""
+    """How far a pose is beyond the end of the arm stretched towards it: (3,)."""
     if mount.arm is not None:
         way_m, longest_m = pose.position_m - mount.arm.shoulder_m, mount.arm.reach_m(mount)
     else:
@@ -63,13 +62,13 @@ def _beyond_m(pose: ApexPose, mount: Mount) -> Floats:
 
 
 def _first_reached(positions_m: Floats, wanted_m: Floats, reached: Callable[[Floats], bool]) -> Floats | None:
-    """Of positions (n, 3) the nearest to the one wanted that is reached."""
+    """Of positions (n, 3), the reachable one nearest to the wanted one."""
     order = np.argsort(np.linalg.norm(positions_m - wanted_m, axis=1), kind="stable")
     return next((positions_m[k] for k in order if reached(positions_m[k])), None)
 
 
 def _directions(count: int) -> Floats:
-    """Unit vectors (n, 3) spread evenly over the sphere."""
+    """Unit vectors (n, 3), evenly spread over the sphere."""
     index = np.arange(count) + 0.5
     z, turn = 1 - 2 * index / count, index * math.pi * (3 - math.sqrt(5))
     level = np.sqrt(1 - z * z)

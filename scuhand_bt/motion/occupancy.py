@@ -1,4 +1,4 @@
-"""What has come into the cell: space that something was seen in, as cubes of one size (an octree of coal's).
+"""What has come into the cell: space in which something was seen, as cubes of equal size (coal's octree).
 
 Metres, base frame.
 """
@@ -13,23 +13,24 @@ from scuhand_bt.motion.collision import Solid
 from scuhand_bt.motion.kinematics import Floats
 
 VOXEL_M = 0.02
+"""Default size of a cube."""
 MOST_VOXELS = 200_000
 SEEN = "what was seen"
-"""The name of it as a solid."""
+"""Its name as a solid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Occupancy:
-    """Occupied cubes; alike where the same cubes are."""
+    """Occupied cubes. Two are equal if their cubes are."""
 
     digest: str
     voxel_m: float
     centres_m: Floats = field(compare=False, repr=False)
-    """Of the cubes, shape (n, 3)."""
+    """Centres of the cubes, shape (n, 3)."""
 
     @classmethod
     def of(cls, points_m: Floats, voxel_m: float = VOXEL_M) -> "Occupancy":
-        """The cubes that points (n, 3) lie in, each point one that was seen; ValueError for what is no points."""
+        """The cubes that contain the seen points (n, 3). Raises ValueError for malformed or too many points."""
         points_m = np.asarray(points_m, dtype=float)
         if points_m.ndim != 2 or points_m.shape[1] != 3 or not len(points_m) or not np.isfinite(points_m).all():
             raise ValueError("occupied space is given by points, three finite numbers in metres each: shape (n, 3)")
@@ -42,7 +43,7 @@ class Occupancy:
         return cls(digest, voxel_m, np.array((cubes + 0.5) * voxel_m, dtype=np.float64))
 
     def solid(self) -> Solid:
-        """All of them, as one thing that the arm must not touch."""
+        """All cubes as one solid that the arm must not touch."""
         tree = coal.makeOctree(self.centres_m, self.voxel_m)
         tree.computeLocalAABB()
         return Solid(SEEN, (0.0, 0.0, 0.0), mesh=tree)

@@ -1,9 +1,8 @@
-"""How long a request that has an answer already is searched on for.
+"""How long a search goes on once it has an answer.
 
-By counts alone the same request has the same answer on every machine. Where an arm waits, time counts too: what is not
-found in it is answered by the best that is certified by then. Such an answer depends on the machine, so it is told
-apart, and not kept. Where nothing is certified yet, the search goes on to the end of its counts: it fails by these
-alone.
+With budgets that are counts, the same request has the same answer on every machine. Where an arm waits, time counts
+too: the best answer certified by then is used. Such an answer depends on the machine, so it is marked and not kept. If
+nothing is certified yet, the search goes on to the end of its counts, and fails only by these.
 """
 
 import math
@@ -12,19 +11,19 @@ import time
 now_s = time.monotonic
 FOR_EVER_S = math.inf
 LIVE_S = 0.4
-"""What a real run waits for a quicker motion; nineteen of twenty loads in drawn cells take half of it at most."""
+"""How long a real run waits for a quicker motion [s]. In random cells 19 of 20 loads take at most half of it."""
 
 
 class Patience:
-    """It begins now, and is over after so many seconds on the wall."""
+    """Begins now, and is over after `lasts_s` [s, wall time]."""
 
     def __init__(self, lasts_s: float = FOR_EVER_S) -> None:
         self._end_s = now_s() + lasts_s
         self.cut_short = False
-        """Whether a search was ended by it."""
+        """Whether it has ended a search."""
 
     def ends(self, has_answer: bool) -> bool:
-        """Whether a search that has an answer, or not, is to end here."""
+        """Whether a search is to end here, given whether it has an answer."""
         is_over = has_answer and now_s() >= self._end_s
         self.cut_short |= is_over
         return is_over

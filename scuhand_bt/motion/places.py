@@ -1,9 +1,10 @@
-"""The named poses that a cell moves between, and the one configuration in which the arm stands at each.
+"""The named poses between which a cell moves, and the one configuration (posture) that the arm takes at each.
 
-Of the configurations of a pose the posture is the nearest to an arm that reaches out over its elbow in one upright
-plane: exactly in that, joints 2 and 6 may pass through zero, near which joints about one line would have to turn much.
-Where only an empty cone comes it need not be level on its way: there the posture is the quickest one to come to and to
-leave.
+The posture is the configuration nearest to an arm that reaches straight out, over its elbow, in one upright plane.
+Exactly in that plane joints 2 and 6 may pass through zero; a little beside it, joints about one line would have to
+turn far. At places where only an empty cone comes the cone need not be level on its way; there it is the posture that
+is reached and left most quickly (docs/motion.md, "Places").
+
 Configurations [rad] (7,).
 """
 
@@ -24,12 +25,13 @@ from scuhand_bt.motion.scenes import Geometry, Scenes
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 
 RELAXED_RAD = (0.0, -0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
-"""What the CRANE-X7's postures are chosen near to, j1 from where the place is; another arm's are told by the cell."""
+"""The CRANE-X7's postures are chosen near this one, with j1 turned towards the place. For another arm the cell
+has it."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
 POSTURES_KEPT = 128
 BESIDE_M = 0.02
-"""Its apex is then no farther from the place than this."""
+"""An apex within this distance may be at a place."""
 
 
 class Places:
@@ -45,7 +47,7 @@ class Places:
     ) -> None:
         self._scenes, self._hand, self._arm, self._rates = scenes, hand, arm, rates
         self._visits_rad = visits_rad
-        """Of places where only an empty cone comes, in what directions the arm comes from and goes to."""
+        """For places where only an empty cone comes: the directions from which the arm comes and to which it goes."""
         self._relaxed_rad = RELAXED_RAD if arm is None else arm.relaxed_rad
         self._poses: dict[str, ApexPose] = {}
         self._postures: Recent[tuple[str, Geometry], Floats | SkillFailed] = Recent(POSTURES_KEPT)
@@ -55,15 +57,15 @@ class Places:
         return list(self._poses)
 
     def add(self, name: str, pose: ApexPose) -> None:
-        """Name a pose, or another from now on; SkillFailed arm.unreachable if the arm cannot reach it."""
+        """Name a pose, or change it. Raises SkillFailed arm.unreachable if the arm cannot reach it."""
         require_reachable(pose, name, Mount.of(self._hand, arm=self._arm), self._scenes.of(Geometry()))
         self._poses[name] = pose
         self._postures = Recent(POSTURES_KEPT)
 
     def posture(self, name: str, geometry: Geometry) -> Floats:
-        """The one configuration in which the arm stands at a place; another where geometry does not let it.
+        """The configuration in which the arm stands at a place; another one only if the geometry blocks it.
 
-        KeyError for a name that is none, SkillFailed arm.no_path where the arm cannot stand at all.
+        Raises KeyError for an unknown name, SkillFailed arm.no_path if the arm cannot stand there at all.
         """
         if name not in self._poses:
             raise KeyError(f"there is no place {name!r}; there are: {', '.join(self._poses) or 'none'}")
@@ -75,7 +77,7 @@ class Places:
                     if not self._scenes.of(geometry).hits(usual[None, :])[0]:
                         return usual
                 return self._canonical(name, geometry)
-            except SkillFailed as failure:  # who waits for a zone asks again and again
+            except SkillFailed as failure:  # kept, as a skill that waits for a zone asks again and again
                 return failure.with_traceback(None)
 
         found = self._postures.of((name, geometry), made)
@@ -84,16 +86,16 @@ class Places:
         return found
 
     def is_posture(self, q: Floats, geometry: Geometry) -> bool:
-        """Whether a configuration is one that the arm takes at a place; no matter what was asked for before."""
+        """Whether a configuration is one that the arm takes at a place, regardless of earlier requests."""
         return any(np.array_equal(posture, q) for posture in self._postures_at(q, geometry))
 
     def settled(self, q: Floats, geometry: Geometry) -> Floats:
-        """The posture that the arm was sent to, where it reports to be within its own error of one."""
+        """The posture that the arm was sent to, if the reported one is within the arm's own error of it."""
         near = (one for one in self._postures_at(q, geometry) if np.abs(one - q).max() <= SETTLED_RAD)
         return next(near, q)
 
     def _postures_at(self, q: Floats, geometry: Geometry) -> Iterator[Floats]:
-        """Of the places that the apex of a configuration is at, or nearly; those at which the arm can stand."""
+        """The postures of places near which the apex of a configuration is."""
         at_m = apex(q, Mount.of(self._hand, 1e3 * geometry.cone_diameter_m, self._arm)).position_m
         for name, pose in self._poses.items():
             if np.abs(pose.position_m - at_m).max() <= BESIDE_M:
@@ -126,7 +128,7 @@ class Places:
 
 
 def reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:
-    """The pose with the handle straight out from the arm's base: between such postures joint 1 does most."""
+    """The pose with the handle straight out from the arm's base. Between such postures mostly joint 1 moves."""
     out = np.array([pose.position_m[0], pose.position_m[1], 0.0])
     back = -(out - (out @ pose.axis) * pose.axis)
     length_m = float(np.linalg.norm(back))
@@ -137,7 +139,7 @@ def reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:
 
 
 def visits_rad(cell: CellSpec) -> dict[str, Floats]:
-    """Of the stations where only an empty cone comes, in what directions the arm comes from and goes to."""
+    """For stations where only an empty cone comes: the directions from which the arm comes and to which it goes."""
     from_and_to = [one.position_mm for one in cell.stations.values() if one.kind in ("mortar", "waste", "park")]
     directions_rad = np.array([np.arctan2(y, x) for x, y, _ in from_and_to])
     return {name: directions_rad for name, one in cell.stations.items() if one.kind == "service"}

@@ -1,8 +1,8 @@
-"""Plans on disk: what was planned once for a cell is at hand for the next run in it.
+"""Plans on disk: a later run in the same cell finds what was planned before.
 
-A file holds the plans of one geometry: its name is a hash of the URDF, what a cell tells of motion, the mortars, this
-package's own source and the libraries below it, so that a plan is looked for only where the same would be planned
-again. Nothing is believed because it was found: the planner proves every plan anew before it is used (`MotionPlanner`).
+A file holds the plans of one geometry. Its name is a hash of the URDF, what a cell says about motion, the mortars,
+this package's source and its libraries. So a plan is looked up only where the same would be planned again. It is not
+trusted: the planner proves every plan anew before it is used (`MotionPlanner`).
 """
 
 import hashlib
@@ -24,20 +24,22 @@ from scuhand_bt.program import source_digest
 from scuhand_bt.specs import Mortar
 
 GEOMETRIES_KEPT = 32
-"""Files, the latest; each takes a megabyte or two."""
+"""How many files are kept, the latest; each has a megabyte or two."""
 _LIBRARIES = ("coal", "numpy", "pin", "ruckig", "scipy")
 _MOVING = ("arm", "hand", "stations", "geometry", "zones")
-"""What a cell tells of motion; another balance, say, is none of it."""
+"""What a cell says about motion; its balance, for instance, does not matter."""
 _WIRING = {"driver", "port", "options"}
-"""What an arm or a hand is reached by, not what it is."""
+"""How an arm or hand is connected, which does not matter either."""
 _PRESSED = {"sheet_thickness_mm"}
 """By which a skill reckons how hard a lip may be pressed; no way is another by it."""
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-"""What reading a file that was cut off, or is none of these, raises."""
+"""What reading a damaged or foreign file raises."""
 
 
 class PlanStore:
-    """The kept plans of one geometry. A folder that cannot be read or written keeps nothing, and says nothing."""
+    """The stored plans of one geometry. If the folder cannot be read or written, nothing is stored, without an
+    error.
+    """
 
     def __init__(self, folder: Path, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar]) -> None:
         of_no_way = {"arm": _WIRING, "hand": _WIRING | _PRESSED}
@@ -47,7 +49,7 @@ class PlanStore:
         self._plans = self._written()
         self._is_new = self._has_written = False
         with suppress(OSError):
-            os.utime(self._path)  # what is in use is not the oldest
+            os.utime(self._path)  # so that a file in use does not become the oldest
 
     def _written(self) -> dict[str, tuple[Floats, Floats]]:
         """What is in the file, by whomever."""
@@ -69,9 +71,10 @@ class PlanStore:
         return None
 
     def keep(self, request: str, motion: JointTrajectory, *, is_common: bool) -> None:
-        """Remember a plan, until it is written; after the first writing those alone that other runs ask for too.
+        """Remember a plan until it is written. After the first writing, only plans that other runs may ask for too.
 
-        What a run needs as it goes, from where a stroke has ended, say, is asked for once in a thousand scoops.
+        What a run needs as it goes, such as a way from the end of a stroke, is asked for again once in a thousand
+        scoops.
         """
         if self._has_written and not is_common:
             return
@@ -79,7 +82,7 @@ class PlanStore:
         self._is_new = True
 
     def write(self) -> None:
-        """All of them to the file beside what others wrote there, if there is a new one; the oldest files go."""
+        """Write all plans to the file, if there is a new one, and delete the files of the oldest geometries."""
         self._has_written = True
         if not self._is_new:
             return
@@ -93,7 +96,7 @@ class PlanStore:
                 try:
                     np.savez(part, allow_pickle=False, **arrays)
                     part.close()
-                    Path(part.name).replace(self._path)  # so that none is ever read half written
+                    Path(part.name).replace(self._path)  # atomically
                 except OSError:
                     Path(part.name).unlink(missing_ok=True)
                     raise
@@ -109,6 +112,6 @@ def _name(request: str) -> str:
 
 @cache
 def _source() -> str:
-    """What plans besides the cell: this package's source, and the versions of what it stands on."""
+    """What determines plans besides the cell: this package's source, and the versions of its libraries."""
     versions = [importlib.metadata.version(name) for name in _LIBRARIES]
     return f"{source_digest('motion')} {versions}"

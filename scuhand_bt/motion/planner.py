@@ -1,13 +1,12 @@
-"""The planning service: the one object that skills ask for a motion, through the cell.
+"""The planning service: the one object that skills ask, through the cell, for a motion.
 
-A request is (start, goal, geometry, constraint, effort); its answer is planned once, and the last ones are kept
-(`answers`). Geometry is the cone's size, what stands on the pan, and which mortar may be touched; each has its own
-immutable scene, built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
-request gets the same motion on every run, on every machine of the same versions, unless it is told to have patience for
-so long only.
+A request is (start, goal, geometry, constraint, effort). Its answer is planned once, and the last answers are kept
+(`answers`). Geometry is the cone's size, what stands on the pan, and which mortar may be touched. Each has its own
+immutable scene, built when first needed. Budgets are counts, and the random seed is a hash of the request. So the same
+request gets the same motion on every machine with the same versions, unless `patience_s` limits its time.
 
-Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillFailed` with the codes
-arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
+Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillFailed` with the codes arm.unreachable,
+arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
 """
 
 import itertools
@@ -53,9 +52,10 @@ STROKES_KEPT, OTHERS_KEPT = 64, 192
 class MotionPlanner:
     """Plans the arm's motions in one cell, and keeps what it has planned.
 
-    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name. `plans` is the folder
-    in which plans are kept from one planner of the same geometry to the next; each is proven again.
-    ValueError for a URDF or a cell that does not describe this arm, KeyError for an unknown station.
+    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name. `plans` is the
+    folder in which plans are kept for later planners of the same geometry; each is proven again.
+
+    Raises ValueError for a URDF or a cell that does not describe this arm, KeyError for an unknown station.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class MotionPlanner:
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
         self._others: Recent[Hashable, StoppableTrajectory] = Recent(OTHERS_KEPT)
         self.patience_s = FOR_EVER_S
-        """How long `move` searches, on the wall, for what is quicker than an answer it has; see `patience`."""
+        """How long `move` searches for something quicker than an answer that it has [s, wall time]; see `patience`."""
 
     # What the cell looks like now -------------------------------------------------------------------
 
@@ -88,9 +88,9 @@ class MotionPlanner:
         container: ContainerKind | None = None,
         closed: frozenset[str] = frozenset(),
     ) -> None:
-        """How wide the rim is, which kind of container stands on the pan, and which zones of the cell are closed.
+        """Set the rim's diameter, the kind of container on the pan, and the closed zones, for all later requests.
 
-        In all that is asked from now on. ValueError for a rim that the sheet cannot make.
+        Raises ValueError for a rim that the sheet cannot make.
         """
         rim_mm, widest_mm = 1e3 * cone_diameter_m, 2 * self._cell.hand.sheet_radius_mm
         if not 0 < rim_mm < widest_mm:
@@ -98,16 +98,16 @@ class MotionPlanner:
         self._geometry = Geometry(kept_diameter_m(cone_diameter_m), container, closed, self._geometry.occupied)
 
     def set_occupied(self, points_m: Floats | None, voxel_m: float = VOXEL_M) -> None:
-        """Where something else is seen now, as points (n, 3) whose cubes nothing may touch; None: nothing is.
+        """Set where something else is seen, as points (n, 3) whose cubes nothing may touch; None for nothing.
 
-        The arm's own points are not to be among them. What is asked for from now on is planned for that; motions under
-        way are as they were, see `keeps_clear`. ValueError for what is no points.
+        The points must not include the arm's own. Later requests are planned for them. Motions under way are not
+        changed; see `keeps_clear`. Raises ValueError for malformed points.
         """
         occupied = None if points_m is None else Occupancy.of(points_m, voxel_m)
         self._geometry = replace(self._geometry, occupied=occupied)
 
     def keeps_clear(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
-        """Whether what is left of a motion is proven to keep clear of what is seen now, whatever else it may touch."""
+        """Whether the rest of a motion is proven clear of what is seen now; other contacts are not considered."""
         scene = self._scenes.of_seen(self._geometry)
         if scene is None:
             return True
@@ -116,13 +116,13 @@ class MotionPlanner:
         return scene.curve_free(later(arm, from_s), left_s, arm.extremes()[1])
 
     def entered(self, q: Floats, cone_diameter_m: float | None = None) -> frozenset[str]:
-        """The zones of the cell that the arm is in, at a configuration, with the present rim or another."""
+        """The zones that the arm is in at a configuration, with the present rim or another."""
         geometry = self._geometry if cone_diameter_m is None else Geometry(kept_diameter_m(cone_diameter_m))
         one = (frozenset({zone}) for zone in self._cell.zone_names)
         return frozenset[str]().union(*(z for z in one if self._scenes.of_zones(geometry, z).hits(q[None, :])[0]))
 
     def add_place(self, name: str, pose: ApexPose) -> None:
-        """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
+        """Name a pose between which the cell moves. Raises SkillFailed arm.unreachable if the arm cannot reach it."""
         self._places.add(name, pose)
 
     def scene(self, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
@@ -132,7 +132,7 @@ class MotionPlanner:
     # Motions ----------------------------------------------------------------------------------------
 
     def home(self) -> Floats:
-        """The park place's canonical configuration, where a simulated arm starts: shape (7,)."""
+        """The posture of the park place, where a simulated arm starts: shape (7,)."""
         name = self._cell.station_of_kind("park").name
         if name not in self._places.names:
             x, y, z = self._cell.stations[name].position_mm
@@ -145,24 +145,25 @@ class MotionPlanner:
         return self._places.names
 
     def standing_at(self, place: str) -> Floats:
-        """The configuration in which the arm stands at a place: shape (7,). SkillFailed arm.no_path where it cannot."""
+        """The configuration (7,) in which the arm stands at a place. Raises SkillFailed arm.no_path if it cannot."""
         return self._posture(place).copy()
 
     def held_at(self, place: str) -> Strain:
-        """What the arm's hardest joint holds while it stands at a place. SkillFailed arm.no_path where it cannot."""
+        """What the arm's most strained joint holds at a place. SkillFailed arm.no_path if the arm cannot stand
+        there.
+        """
         torques = self._pace.torques
         return torques.strain(torques.holding(self._posture(place)[None, :]))
 
     def prepare(
         self, pans: Iterable[tuple[ContainerKind, str]] = (), carries: Iterable[tuple[str, str, float]] = ()
     ) -> None:
-        """Plan all pairs of places, with a bare pan and with each container on it, and polish them; so, too, around the
-        zones of the cell, between those that are in none.
+        """Plan and polish the motions between all places, so that a missing way is found before anything moves.
 
-        `pans` are those containers with the places over them, which are left out while another one stands there.
-
-        So 'no path' is found before anything moves. `carries`: places from and to, and spill limits [deg] of
-        loaded motions that are to be planned too; others are planned when they are asked for.
+        They are planned with a bare pan and with each container on it; and around the cell's zones, between places
+        outside them. `pans` are those containers with the places over them; a place is left out while another kind
+        stands there. `carries` are start, destination and spill limit [deg] of loads to plan for; others are planned
+        when asked for.
         """
         over, carried = dict(pans), list(carries)
         for kind, place in ((None, None), *over.items()):
@@ -204,7 +205,7 @@ class MotionPlanner:
             self._store.write()
 
     def let_go(self) -> None:
-        """Give back most of its memory, the scenes; whoever asks for a motion then waits until they are built anew."""
+        """Free most of its memory, the scenes; the next request has to wait until they are rebuilt."""
         self._scenes.let_go()
 
     @contextmanager
@@ -225,8 +226,8 @@ class MotionPlanner:
     ) -> StoppableTrajectory:
         """A slow motion of the apex in straight lines from `start` through the waypoints, rest to rest.
 
-        The sheet may touch the mortar at the station `touching`; nothing else may.
-        A load is kept within `spill_limit_deg`.
+        The sheet may touch the mortar at the station `touching`; nothing else may. A load is kept within
+        `spill_limit_deg`.
         """
         begin = checked_joints(start, self._limits_rad)
         if not waypoints:
@@ -244,9 +245,9 @@ class MotionPlanner:
     def descent(
         self, place: str, from_above_m: float, speed_m_per_s: float, spill_limit_deg: float | None = None
     ) -> StoppableTrajectory:
-        """Straight down to a place, rest to rest: planned upwards from its posture, as not every other lets the arm.
+        """Straight down to a place, rest to rest: planned upwards from its posture, as others may have no such way.
 
-        A load is kept within `spill_limit_deg`. SkillFailed arm.no_path, arm.unreachable.
+        A load is kept within `spill_limit_deg`. Raises SkillFailed arm.no_path, arm.unreachable.
         """
         posture = self._posture(place)
 
@@ -272,11 +273,12 @@ class MotionPlanner:
         *,
         from_mortars: bool = False,
     ) -> tuple[StoppableTrajectory, str]:
-        """Slowly out of what the arm touches where it stands, and what that is; `move` goes on from its end.
+        """A slow motion out of what the arm touches, and what that is; `move` can go on from its end.
 
-        The sheet may touch the mortar at the station `touching`, and goes on with `contact`. SkillFailed
-        arm.start_in_collision where it touches nothing, a closed zone or what was seen (which are waited for) or, but
-        `from_mortars`, a mortar (which is withdrawn from), stands too deep in something, or where the load would spill.
+        The sheet may touch the mortar at the station `touching`; `contact` goes on from there. Raises SkillFailed
+        arm.start_in_collision if the arm touches nothing, stands too deep in something, or the load would spill. Also
+        if it touches a closed zone or what was seen (which are waited for), or a mortar (which `withdraw` leaves)
+        unless `from_mortars`.
         """
         begin, scene = checked_joints(start, self._limits_rad), self.scene(CLOSE_MARGIN_M, touching)
         kept_in = {SEEN, *self._geometry.closed, *(() if from_mortars else self._scenes.mortars)}
@@ -286,11 +288,11 @@ class MotionPlanner:
     def forming(
         self, start: Floats, goal: Floats, rims_mm: tuple[float, float], roller_rad: RollerAngle
     ) -> StoppableTrajectory:
-        """The empty cone's motion between two configurations, on which its rim becomes another: 8 columns.
+        """The empty cone's motion between two configurations while its rim changes: 8 columns.
 
-        Where the roller takes longer, the arm waits: it comes with the rim that is wanted there, or nearly. What it
-        stands with, and either half of its way, are proven with the rims of that while. SkillFailed as `move`, and
-        arm.no_path where the cone would touch something.
+        If the roller takes longer, the arm waits at the start, and then arrives with the wanted rim. The wait and each
+        half of the way are proven with the rims that the cone has then. Raises SkillFailed as `move`, and arm.no_path
+        if the cone would touch something.
         """
         begin, end = (checked_joints(q, self._limits_rad) for q in (start, goal))
         rates = with_roller(self.rates, self._cell.hand)
@@ -305,10 +307,10 @@ class MotionPlanner:
         return self._others.of(("forming", begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
-        """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
+        """A stroke of arm and roller in the mortar at a station, begun as near to `near` as is possible.
 
-        Eight columns: the joints, and the roller. `rims_mm` are the first, some in between, and the last. SkillFailed
-        arm.unreachable, arm.no_path.
+        Eight columns: the joints and the roller. `rims_mm` are the first rim, some in between, and the last. Raises
+        SkillFailed arm.unreachable, arm.no_path.
         """
         begin, hand = checked_joints(near, self._limits_rad), self._cell.hand
 
@@ -318,8 +320,8 @@ class MotionPlanner:
             try:
                 motion = self._pace.borne(stroke_motion(begin, poses, scene, rates, mount), mount)
                 return self._pace.stoppable(motion, mount, rates)
-            except SkillFailed as failure:  # as expensive as a stroke that there is, and asked for as often
-                return SkillFailed(failure.code, failure.detail)  # the caught one holds its frames, and so this scene
+            except SkillFailed as failure:  # kept too, as it is as expensive as a stroke, and asked for as often
+                return SkillFailed(failure.code, failure.detail)  # the original's frames would keep this scene alive
 
         found = self._strokes.of((begin.tobytes(), poses.digest, tuple(rims_mm), station, self._geometry), made)
         if isinstance(found, SkillFailed):
@@ -329,8 +331,8 @@ class MotionPlanner:
     def reform(self, start: Floats, place: str, diameter_mm: float, roller_rad: RollerAngle) -> StoppableTrajectory:
         """Arm and roller (8 columns) from `start`, the cone upright, to a place with a cone of another size.
 
-        The cone stays upright: apex, handle, elbow and rim go evenly to where they are in the place's posture.
-        SkillFailed arm.no_path.
+        The cone stays upright: apex, handle, elbow and rim change evenly to what they are in the place's posture.
+        Raises SkillFailed arm.no_path.
         """
         hand, begin = self._cell.hand, checked_joints(start, self._limits_rad)
         end = self._places.posture(place, replace(self._geometry, cone_diameter_m=diameter_mm / 1e3))
@@ -347,16 +349,16 @@ class MotionPlanner:
 
     @property
     def _mount(self) -> Mount:
-        """How the hand holds the cone of the present geometry."""
+        """The mount of the present geometry's cone."""
         return self._mount_in(self._geometry)
 
     @property
     def joints(self) -> int:
-        """How many joints the arm has."""
+        """Number of joints of the arm."""
         return len(self._limits_rad[0])
 
     def mount(self, diameter_mm: float = MOUNTED_DIAMETER_MM) -> Mount:
-        """How this cell's hand holds a cone with a rim of this diameter, and what holds the hand."""
+        """The mount of this cell's hand and arm with a rim of this diameter."""
         return Mount.of(self._cell.hand, diameter_mm, self._arm)
 
     # Within -----------------------------------------------------------------------------------------
@@ -368,7 +370,7 @@ class MotionPlanner:
         return self._stoppable(self._pace.borne(motion, self._mount), rates)
 
     def _resolved(self, start: Floats, goal: str | ApexPose | Floats) -> tuple[Floats, Floats, str]:
-        """The start, the goal's configurations (n, 7), and what to call the goal."""
+        """The start, the goal's configurations (n, 7), and what messages call the goal."""
         begin = self._places.settled(checked_joints(start, self._limits_rad), self._geometry)
         if isinstance(goal, np.ndarray):
             return begin, checked_joints(goal, self._limits_rad)[None, :], "the configuration asked for"

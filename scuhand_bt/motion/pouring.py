@@ -1,10 +1,10 @@
-"""A cone that is turned about its lip, as a ladle is poured out and turned back: its apex swings, its lip stands still.
+"""Tilting a cone about its lip, as a ladle is emptied and turned back: the apex swings, the lip stands still.
 
-With the lip at P, the sheet's radius L, the half-angle alpha and the axis' tilt theta towards a direction o
+With the lip at P, the sheet's radius L, the half-angle alpha and the axis tilted by theta towards a direction o:
 
     A = P - L (sin(theta + alpha) o + cos(theta + alpha) z)
 
-What slides out of it falls where the lip is. Positions [m], angles [rad].
+So the powder falls where the lip is. Positions [m], angles [rad].
 """
 
 import math
@@ -19,14 +19,14 @@ UP: Floats = np.array([0.0, 0.0, 1.0])
 def about_lip(
     lip_m: Floats, out: Floats, tilts_rad: list[float], sheet_radius_m: float, half_rad: float
 ) -> list[ApexPose]:
-    """The cone's poses with its lip there, tilted so far in a level direction."""
+    """Poses of the cone with its lip at one point, tilted by these angles in a level direction."""
     return [
         ApexPose(lip_m - sheet_radius_m * _leaning(tilt + half_rad, out), _leaning(tilt, out)) for tilt in tilts_rad
     ]
 
 
 def turned_back(now: ApexPose, step_rad: float, sheet_radius_m: float, half_rad: float) -> list[ApexPose]:
-    """From a cone that leans to one that is upright, in steps of so much at most, with the lip where it is."""
+    """From a leaning cone to an upright one, in steps of at most `step_rad`, with the lip at rest."""
     leans_rad = math.radians(now.tilt_deg)
     out = np.array([now.axis[0], now.axis[1], 0.0]) / np.hypot(now.axis[0], now.axis[1])
     lip_m = now.position_m + sheet_radius_m * _leaning(leans_rad + half_rad, out)
@@ -35,6 +35,6 @@ def turned_back(now: ApexPose, step_rad: float, sheet_radius_m: float, half_rad:
 
 
 def _leaning(angle_rad: float, out: Floats) -> Floats:
-    """The unit vector that leans from upright by an angle towards a level direction."""
+    """The unit vector at an angle from upright, towards a level direction."""
     leaning: Floats = math.sin(angle_rad) * out + math.cos(angle_rad) * UP
     return leaning

@@ -1,8 +1,8 @@
-"""From a course in the planning coordinates to a proven motion of the joints.
+"""From a course in planning coordinates to a proven motion of the joints.
 
-A course is proven when its joints keep their rates and positions, its samples are free so closely that nothing can
-touch in between (`collision`), and the load's spill angle stays within its limit (`spill`). What is too quick for the
-joints or the load is slowed until it is not; what cannot be proven is None.
+A course is proven if its joints keep their rate and position limits, its samples are free and dense enough that
+nothing can touch in between (`collision`), and the load's spill angle keeps its limit (`spill`). What is too quick for
+joints or load is slowed. What cannot be proven is None.
 
 Planning coordinates (7,), times [s].
 """
@@ -18,17 +18,17 @@ from scuhand_bt.motion.trajectory import JointTrajectory, through
 
 _GRID_S = 0.01
 _SLOWER = 8.0
-"""A course that the joints must be so many times slower for turns the wrist past its singularity: it is not used."""
+"""A course that the joints would have to follow so many times slower passes the wrist's singularity, and is dropped."""
 _FIRST_LOOK = (np.arange(20) + 0.5) / 20
-"""The moments, as shares of a course's duration, that are looked at before it is put into the joints' own cubics."""
+"""Sample times, as shares of the duration, that are tested before a course is converted to cubics of the joints."""
 _ROUNDING = 1e-6
-"""Of positions, speeds and accelerations where two cubics meet, and of limits that are just kept."""
+"""Tolerance for rounding: of positions, speeds and accelerations where two cubics meet, and of limits."""
 
 
 def is_whole(motion: JointTrajectory, rates: RateLimits, mount: Mount, spill_limit_deg: float | None) -> bool:
-    """Whether cubics of unknown origin are one motion of the joints from rest to rest within all its limits.
+    """Whether cubics of unknown origin are one motion of the joints, from rest to rest, within all its limits.
 
-    What they touch is looked at elsewhere.
+    Contacts are checked elsewhere.
     """
     if motion.coefficients.shape[2] != len(rates.speed) or rates.stretch_for(motion) > 1 + _ROUNDING:
         return False
@@ -47,7 +47,7 @@ def is_whole(motion: JointTrajectory, rates: RateLimits, mount: Mount, spill_lim
 class Prover:
     """Proves motions in one space.
 
-    `rates` are the joints' limits; `spill_limit_deg` the load's, None for an empty cone.
+    `rates` are the joints' limits; `spill_limit_deg` is the load's, None for an empty cone.
     """
 
     def __init__(self, space: Space, rates: RateLimits, mount: Mount, spill_limit_deg: float | None) -> None:
@@ -58,7 +58,7 @@ class Prover:
         self._spill_deg = spill_limit_deg
 
     def proven(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
-        """The course as a motion of the joints, as slow as it must be; None if it is not free, or not quicker."""
+        """The course as a motion of the joints, slowed as necessary; None if it is not free, or not quicker."""
         motion = course
         if not isinstance(self.space.coordinates, JointCoordinates):
             if self._looks_hit(course):
@@ -81,26 +81,26 @@ class Prover:
         return motion if self.space.scene.proves(motion) else None
 
     def _looks_hit(self, course: JointTrajectory) -> bool:
-        """Whether a few moments of a course are hit already: most are, and what follows costs fifty times as much."""
+        """Whether a few samples of a course are hit, as most courses are; the full proof costs fifty times as much."""
         some = self.space.coordinates.joints(course.at(_FIRST_LOOK * course.duration_s))
         return bool(self.space.first_look(some).any()) or self.space.scene.any_hit(some)
 
     def direct(self, start: Floats, end: Floats) -> JointTrajectory | None:
-        """The optimum from rest to rest along the line, if it is proven."""
+        """The time-optimal motion from rest to rest along the line, if it is proven."""
         if self._follows_lines and not self.space.free(start, end):
             return None
         return self.along(np.array([start, end]))
 
     def along(self, free_lines: Floats) -> JointTrajectory | None:
-        """At rest in every vertex of a polyline (m, 7), exactly along lines that are known to be free."""
+        """A motion along a polyline (m, 7) whose lines are known to be free, at rest in every vertex."""
         course = self.law.straight(free_lines)
         if self._follows_lines:
             return course
-        # In other coordinates it is looked at anyway.
+        # `proven` looks itself in other coordinates.
         is_looked_at = isinstance(self.space.coordinates, JointCoordinates) and self._looks_hit(course)
         return None if is_looked_at else self.proven(course)
 
     @property
     def _follows_lines(self) -> bool:
-        """Whether a motion along straight lines of the coordinates is proven as soon as the lines are."""
+        """Whether a motion along straight lines is proven if the lines are."""
         return isinstance(self.space.coordinates, JointCoordinates) and self._spill_deg is None

@@ -1,7 +1,7 @@
-"""The cone gets another size while it stays upright: arm and roller in one motion, from any upright pose to another.
+"""Changes the cone's size while it stays upright: arm and roller in one motion between any upright poses.
 
-The rim, the apex and the handle's yaw about the vertical go evenly from where they are to where they are to be, the yaw
-either way round; the handle's slope is the cone's half-angle at every rim.
+Rim, apex and the handle's yaw about the vertical change evenly, the yaw in either direction. The handle's slope is the
+cone's half-angle at every rim.
 
 Positions [m], angles [rad], times [s].
 """
@@ -25,11 +25,11 @@ from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
 from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, beside, later
 
 RollerAngle: TypeAlias = Callable[[float], float]
-"""The roller's angle [rad] at a rim of so many mm, counted from the flat sheet."""
+"""The roller's angle [rad] for a rim's diameter [mm], counted from the flat sheet."""
 
 STEPS = 40
 SPEED_M_PER_S, TURN_RAD_PER_S = 0.15, 1.2
-"""Of the apex, and of the handle."""
+"""Speed of the apex, and angular speed of the handle."""
 
 
 def reform_motion(
@@ -42,9 +42,9 @@ def reform_motion(
     roller_rad: RollerAngle,
     arm: DecomposedArm | None = None,
 ) -> JointTrajectory:
-    """The motion (8 columns) between two configurations (7,) whose cones, of these rims, are upright; proven.
+    """The proven motion (8 columns) between two configurations (7,) whose cones, with these rims, are upright.
 
-    SkillFailed arm.no_path.
+    Raises SkillFailed arm.no_path.
     """
     mounts = [Mount.of(hand, rim_mm, arm) for rim_mm in rims_mm]
     first, last = apex(begin, mounts[0]), apex(end, mounts[1])
@@ -71,9 +71,9 @@ def forming_motion(
     roller_rad: RollerAngle,
     scene_of: Callable[[list[float]], Scene],
 ) -> JointTrajectory:
-    """A way of the arm with the roller's beside it (8 columns), on which the rim becomes another; proven.
+    """A way of the arm with the roller's beside it (8 columns), during which the rim changes; proven.
 
-    `scene_of` gives the scene in which the cone has each of some rims. SkillFailed arm.no_path.
+    `scene_of` gives the scene in which the cone has each of some rims. Raises SkillFailed arm.no_path.
     """
     law = TimeLaw(RateLimits(rates.speed[-1:], rates.acceleration[-1:], rates.jerk[-1:]))
     rolling = law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm]))
@@ -82,7 +82,7 @@ def forming_motion(
     turned_rad = rolling.end - rolling.start
     for begin_s, end_s in itertools.pairwise((0.0, leaves_s, (leaves_s + comes_s) / 2, comes_s)):
         rolled_rad = both.at(np.linspace(begin_s, end_s, 3))[:, -1] - rolling.start
-        shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is even with the roller's angle
+        shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is linear in the roller's angle
         three_mm = (rims_mm[0] + shares * (rims_mm[1] - rims_mm[0])).round(1).tolist()
         if not scene_of(three_mm).curve_free(later(arm_part(both), begin_s), end_s - begin_s, both.extremes()[1][:-1]):
             raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
@@ -95,7 +95,7 @@ def _yaw(pose: ApexPose) -> float:
 
 
 def _ways(begin_rad: float, end_rad: float) -> tuple[float, float]:
-    """The turns from one angle to another, the shorter first."""
+    """The two turns from one angle to another, the shorter first."""
     turn = (end_rad - begin_rad + math.pi) % (2 * math.pi) - math.pi
     return turn, turn - math.copysign(2 * math.pi, turn)
 

@@ -1,7 +1,7 @@
-"""What a motion is asked for by: start, goals, the cell as it looks, a load's limit, and how much effort it is worth.
+"""Requests for motions: start, goals, geometry, the load's limit, and the effort.
 
-A request is what a plan is kept by, in memory and on disk, and its own bytes are the seed of its search: the same one
-has the same answer on every run, on every machine of the same versions. Joints [rad] as the bytes of (n,) and (m, n).
+A request is the key under which a plan is kept, in memory and on disk, and seeds its search. So it has the same answer
+on every machine with the same versions. Joints [rad] are kept as the bytes of (n,) and (m, n).
 """
 
 import hashlib
@@ -15,12 +15,12 @@ from scuhand_bt.motion.trajectory import JointTrajectory
 from scuhand_bt.motion.transfer import Effort
 
 SAME_RAD = 1e-9
-"""A plan begins and ends where it was asked for, but for rounding."""
+"""Tolerance for rounding of a plan's ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One motion that is asked for; `spill_limit_deg` None for an empty cone."""
+    """One requested motion; `spill_limit_deg` is None for an empty cone."""
 
     begin: bytes
     goals: bytes
@@ -32,12 +32,12 @@ class Request:
     def of(
         cls, begin: Floats, goals: Floats, geometry: Geometry, spill_limit_deg: float | None, effort: Effort
     ) -> "Request":
-        """From a start (n,) to any of goals (m, n)."""
+        """From a start (n,) to any of the goals (m, n)."""
         return cls(begin.tobytes(), goals.tobytes(), geometry, spill_limit_deg, effort)
 
     @property
     def seed(self) -> int:
-        """Of its search; the same for any effort."""
+        """The seed of its search; the same for any effort."""
         geometry, kind = self.geometry, ""
         if geometry.container is not None:
             kind = geometry.container.name
@@ -46,12 +46,12 @@ class Request:
 
     @property
     def written(self) -> str:
-        """In words that are the same in every process."""
+        """A text that is the same in every process."""
         seen = f"{self.geometry.cone_diameter_m} {self.geometry.container!r} {sorted(self.geometry.closed)}"
         return f"{self.begin!r} {self.goals!r} {seen} {self.spill_limit_deg} {self.effort!r}"
 
     def has_ends_of(self, motion: JointTrajectory) -> bool:
-        """Whether a motion goes from its start to one of its goals."""
+        """Whether a motion leads from its start to one of its goals."""
         begin = np.frombuffer(self.begin)
         ends = np.frombuffer(self.goals).reshape(-1, len(begin)) - motion.end
         return bool(max(np.abs(begin - motion.start).max(), np.abs(ends).max(axis=1).min()) <= SAME_RAD)

@@ -1,10 +1,11 @@
-"""A collision-free polyline from the start to any of the goals: RRT-Connect on certified edges.
+"""RRT-Connect: a collision-free polyline from the start to any of the goals, on certified edges.
 
-Two trees grow towards random points and towards each other [Kuffner and LaValle, "RRT-Connect", ICRA
-2000]. An edge is a free line (`free_space`), and grows as far as it is free. Shortcuts then replace
-pieces of the polyline by one edge wherever that is free and quicker from rest to rest.
+Two trees grow towards random points and towards each other (Kuffner and LaValle, "RRT-Connect", ICRA 2000). An edge is
+a free line (`free_space`), and grows as far as it is free. Afterwards parts of the polyline are replaced by single
+edges where these are free and quicker from rest to rest.
 
-Planning coordinates c shape (7,); polylines (m, 7). Budgets are iterations; randomness is the caller's.
+Planning coordinates c have the shape (7,), polylines (m, 7). Budgets are iterations; the caller provides the random
+generator.
 """
 
 from collections.abc import Callable
@@ -57,7 +58,7 @@ def connect(
     iterations: int,
     ends: Callable[[], bool] = lambda: False,
 ) -> Floats | None:
-    """A free polyline (m, 7) from start (7,) to one of goals (n, 7), None in so many iterations or where it `ends`."""
+    """A free polyline (m, 7) from start (7,) to one of the goals (n, 7); None if not found, or ended by `ends`."""
     weights = space.scene.bound.reach_m
     if len(goals) > 128:
         raise ValueError("choose among the goals first: at most 128 root a tree")
@@ -86,7 +87,7 @@ def connect(
 
 
 def shortened(space: Space, path: Floats, rng: np.random.Generator, tries: int) -> Floats:
-    """The polyline with pieces replaced by single edges where that is free and quicker."""
+    """The polyline with parts replaced by single edges where that is free and quicker."""
     limits = space.coordinates.rates
     points = list(path)
     for _ in range(tries):

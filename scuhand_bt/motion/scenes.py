@@ -1,7 +1,7 @@
-"""The cell's scenes: the arm with one size of cone among what stands there, built when first needed.
+"""The scenes of a cell: the arm with one size of cone among what stands there, built when first needed.
 
-The last ones are kept, as one stroke's is asked for in each of its directions; each holds a megabyte, 10 where a mortar
-may be touched.
+The last ones are cached, as all directions of a stroke use the same one. A scene takes a megabyte; 10 if a mortar may
+be touched.
 
 Lengths in metres.
 """
@@ -22,18 +22,19 @@ from scuhand_bt.specs import ContainerKind, Mortar
 
 CONE_DIAMETER_M = MOUNTED_DIAMETER_MM / 1e3
 SETTLED_DIAMETER_M = 0.0005
-"""How far the rim of a cone that was formed to the usual diameter may be measured from it."""
+"""How far a measured rim may be from the usual diameter to count as that."""
 MARGIN_M = 0.005
+"""The usual margin of a proof."""
 CLOSE_MARGIN_M = 0.001
-"""Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
+"""The margin if start or goal themselves are nearer to something than the usual one; and in contact."""
 SCENES_KEPT, STROKES_KEPT = 12, 2
-"""A mortar that may be touched is two hundred solids: its scene has fifteen times as many pairs as another, each of
-which takes 6 kB."""
+"""How many scenes are cached; the second for those with a mortar that may be touched. Such a mortar has 200 solids,
+and its scene fifteen times as many pairs as others, of 6 kB each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """What changes in the cell: the cone's rim, what stands on the pan, and what else was seen."""
+    """What changes in the cell: the cone's rim, what stands on the pan, closed zones, and what else was seen."""
 
     cone_diameter_m: float = CONE_DIAMETER_M
     container: ContainerKind | None = None
@@ -43,12 +44,12 @@ class Geometry:
 
     @property
     def usual(self) -> "Geometry":
-        """The same cone over a bare pan, with no zone closed and nothing else to be seen."""
+        """The same cone over a bare pan, without closed zones or anything else seen."""
         return Geometry(self.cone_diameter_m)
 
 
 def kept_diameter_m(cone_diameter_m: float) -> float:
-    """A rim as scenes are kept by it: the usual one where it is hardly another, else to a tenth of a millimetre."""
+    """A rim's diameter as a cache key: the usual one if it is close, else rounded to 0.1 mm."""
     is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
     return CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4)
 
@@ -57,7 +58,7 @@ _Asked: TypeAlias = tuple[Geometry, float, str | None, tuple[float, ...]]
 
 
 class Scenes:
-    """Every scene of one cell. KeyError for mortars at stations that the cell does not have."""
+    """All scenes of one cell. Raises KeyError for mortars at unknown stations."""
 
     def __init__(self, arm: Arm, cell: CellSpec, mortars: Mapping[str, Mortar]) -> None:
         self._arm = arm
@@ -68,7 +69,7 @@ class Scenes:
         self.let_go()
 
     def let_go(self) -> None:
-        """Keep none of those that were built; what is asked for is built anew."""
+        """Drop all scenes; they are rebuilt when needed."""
         self._scenes: Recent[_Asked, Scene] = Recent(SCENES_KEPT)
         self._of_strokes: Recent[_Asked, Scene] = Recent(STROKES_KEPT)
         self._seen: Recent[tuple[float, Occupancy], Scene] = Recent(STROKES_KEPT)
@@ -76,11 +77,11 @@ class Scenes:
 
     @property
     def mortars(self) -> frozenset[str]:
-        """The stations at which one stands."""
+        """The stations with a mortar."""
         return frozenset(self._mortars)
 
     def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
-        """The scene of a geometry; the mortar at the station `touching` is hollow, and the sheet may touch it."""
+        """The scene of a geometry. The mortar at the station `touching` is hollow, and the sheet may touch it."""
         return self._kept(geometry, margin_m, touching, (1e3 * geometry.cone_diameter_m,))
 
     def of_stroke(self, geometry: Geometry, rims_mm: Sequence[float], station: str | None, margin_m: float) -> Scene:
@@ -88,7 +89,7 @@ class Scenes:
         return self._kept(geometry, margin_m, station, tuple(rims_mm))
 
     def of_zones(self, geometry: Geometry, zones: frozenset[str]) -> Scene:
-        """Nothing but these zones, to be entered."""
+        """Only these zones, to see whether the arm is in them."""
 
         def made() -> Scene:
             solids = [solid for zone in sorted(zones) for solid in self._zones[zone]]
@@ -98,7 +99,7 @@ class Scenes:
         return self._entered.of((geometry.cone_diameter_m, zones), made)
 
     def of_seen(self, geometry: Geometry) -> Scene | None:
-        """Nothing but what was seen, to be kept clear of; None where nothing was."""
+        """Only what was seen, to be kept clear of; None if nothing was."""
         seen = geometry.occupied
         if seen is None:
             return None

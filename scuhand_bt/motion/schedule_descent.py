@@ -1,18 +1,18 @@
-"""A schedule made quicker: linear programs over all its times and turning points at once.
+"""Makes a schedule quicker by linear programs over all its times and turning points at once.
 
-A search of schedules (`joint_schedules`) ends near something quick, not at it. From there
+A search of schedules (`joint_schedules`) ends near an optimum. From there
 
-    minimise T      over turning points, waits, slower legs and pauses of every joint, and T
-                    and, where the goal is a pose, over the end along the arm's own motion
-    d_i + grad d_i . dq_i >= margin        of what is near at samples of the motion
+    minimise T      over turning points, waits, slower legs and pauses of every joint, and T;
+                    if the goal is a pose, also over the end, along the arm's self-motion
+    d_i + grad d_i . dq_i >= margin        for near pairs, at samples of the motion
     spill angle    <= limit                at each of them
-    legs and rests <= T                    of every joint
+    legs and rests <= T                    for every joint
 
-is solved again and again, linear in small changes. A change that makes the motion touch is not taken, but what it
-touches is known then, and is heeded by the next. What comes out is proven free as any motion is, and counts only then.
+is solved repeatedly, linearised for small changes. A change that makes the motion touch something is not taken, but
+the next program includes what it would touch. Results count only once they are proven, as any motion.
 
-Joints [rad] (n,), times [s]; x holds turning points, waits, slower first legs, pauses, slower second legs, and T:
-(5 n + 1,).
+Joints [rad] (n,), times [s]. x holds turning points, waits, slower first legs, pauses, slower second legs, and T: (5 n
++ 1,).
 """
 
 from collections.abc import Callable
@@ -30,37 +30,42 @@ from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
 
 _SAMPLES = np.arange(1, 49) / 48
 _MARGIN = 1.1
-"""Times the scene's, what the samples keep: between them it may be less."""
+"""Multiple of the scene's margin that samples keep, as in between it may be less."""
 _SPILL_DEG = 0.8
-"""Below the load's limit, for the same reason."""
+"""Distance from the spill limit that samples keep, for the same reason."""
 _M_PER_DEG = 1e-3
-"""A degree too much is as bad as so much too near."""
+"""Weight of the spill angle: a degree too much counts as this distance too near."""
 _OVERLAP_M = 6e-4
-"""What may be all right by closer samples."""
+"""An overlap up to this may vanish with denser samples, so such a schedule is tried."""
 _S_PER_M, _SLACK_S_PER_M = 200.0, 400.0
-"""What an overlap costs where changes are judged, and in a program."""
+"""Cost of an overlap: when changes are compared, and as slack in a program."""
 _FIRST_TRUST_RAD, _LEAST_TRUST_RAD, _MOST_TRUST_RAD = 0.12, 0.01, 0.3
+"""First, least and largest trust region of a change."""
 _S_PER_RAD = 1 / 3
-"""How much a time may change where a joint may change by 1 rad."""
+"""Trust region of times, relative to that of joints."""
 _WIDER, _NARROWER = 1.5, 0.4
+"""Factors on the trust region after a success, and after a failure."""
 _HEEDED = 2
-"""So many programs with what the ones before touched, before changes must be smaller."""
+"""How many programs include what earlier ones touched, before the trust region shrinks."""
 _STRAIGHT_RAD = 1e-6
 _STEP = 1e-5
-"""Of differences that take the place of slopes."""
+"""Step of finite differences."""
 _MOST_PROVEN = 12
+"""How many schedules are tried to be proven."""
 _TIGHTNESSES, _MORE_MARGIN, _MORE_CHANGES = 3, 0.15, 4
-"""How often what is not proven is begun anew, each time with so much more margin, and with so many changes."""
+"""How often an unproven result is improved again; with how much more margin each time, and how many changes."""
 _WATCHED_FOR = 4
-"""Changes, before it is looked anew at what is near."""
+"""Changes after which the near pairs are determined anew."""
 _SHARE_OF_T = 0.1
+"""Largest change of the duration in one program."""
 _LEAST_GAIN_S = 5e-4
+"""A change that gains less is not taken."""
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """A schedule, and what is seen of it."""
+    """A schedule with its samples, near pairs and spill angles."""
 
     x: Floats
     goal: Floats
@@ -75,7 +80,7 @@ class _Look:
 
 
 class Descent:
-    """From one start. `pose` is what the goal may move along, None where it is one configuration."""
+    """Improves schedules from one start. `pose` is what the goal may move along; None if it is one configuration."""
 
     def __init__(
         self,
@@ -100,7 +105,7 @@ class Descent:
         changes: int,
         ends: Callable[[JointTrajectory | None], bool],
     ) -> JointTrajectory | None:
-        """Something quicker than a schedule's motion, or that; after so many changes at most, or as `ends` says."""
+        """Something quicker than `than`, from a schedule, or `than` itself; within so many changes, or until `ends`."""
         x, goal = self._begun(schedule)
         for tightness in range(_TIGHTNESSES):
             self._margin_m = (_MARGIN + tightness * _MORE_MARGIN) * self._prover.space.scene.margin_m
@@ -108,7 +113,7 @@ class Descent:
             reached = self._reached(x, goal, least_s, changes, lambda: ends(than))
             if (motion := self._proven(reached, than)) is not None:
                 return motion
-            # What is nearly free is tried again with a little more room.
+            # A nearly free result is improved again with a little more margin.
             last = reached[-1]
             if ends(than) or last.overlap_m > _OVERLAP_M or (than is not None and last.x[-1] >= than.duration_s):
                 break
@@ -116,7 +121,7 @@ class Descent:
         return than
 
     def _reached(self, x: Floats, goal: Floats, least_s: float, changes: int, ends: Callable[[], bool]) -> list[_Look]:
-        """What is better and better."""
+        """A sequence of ever better schedules."""
         reached, trust_rad = [self._looked(x, goal, True)], _FIRST_TRUST_RAD
         for k in range(changes):
             best = reached[-1]
@@ -131,7 +136,7 @@ class Descent:
         return reached
 
     def _proven(self, reached: list[_Look], than: JointTrajectory | None) -> JointTrajectory | None:
-        """The quickest that is proven, and quicker than what there is."""
+        """The quickest that can be proven and is quicker than `than`."""
         limit_s = np.inf if than is None else than.duration_s
         tried = [one for one in reached if one.overlap_m < _OVERLAP_M and one.x[-1] < limit_s]
         for one in sorted(tried, key=lambda one: float(one.x[-1]))[:_MOST_PROVEN]:
@@ -145,7 +150,7 @@ class Descent:
     # What a schedule is here ------------------------------------------------------------------------
 
     def _begun(self, schedule: Schedules) -> tuple[Floats, Floats]:
-        """From a schedule, of which joints that have no time for their turning points go straight."""
+        """x and the goal of a schedule; joints without time for their turning points go straight."""
         goal, turns, total_s = schedule.goals[0], schedule.turns[0].copy(), float(schedule.durations_s[0])
         late = self._needed_s(turns, goal) > total_s
         turns[late] = goal[late]
@@ -154,14 +159,14 @@ class Descent:
         return self._fitted(np.concatenate([turns, *(spare_s * schedule.shares[0, :, :4].T), [total_s]]), goal), goal
 
     def _needed_s(self, turns: Floats, goals: Floats) -> Floats:
-        """What every joint's legs take at least, (..., n)."""
+        """The least time that each joint's legs take, (..., n)."""
         firsts, first_steps, first_s = legs(turns - self._start, self._limits)
         seconds, second_steps, second_s = legs(goals - turns, self._limits)
         needed_s: Floats = first_s + second_s - merged_ramps_s(firsts, first_steps, seconds, second_steps)
         return needed_s
 
     def _fitted(self, x: Floats, goal: Floats) -> Floats:
-        """Within the windows, with no rest below zero, and as long as the slowest joint needs."""
+        """x made feasible: within the windows, without negative rests, and as long as the slowest joint needs."""
         n, fitted = self._n, x.copy()
         fitted[:n] = np.where(self._straight, goal, np.clip(x[:n], *self._windows_rad))
         fitted[n:-1] = np.maximum(x[n:-1], 0.0)
@@ -169,7 +174,7 @@ class Descent:
         return fitted
 
     def _left_s(self, x: Floats, goals: Floats) -> Floats:
-        """How long every joint of schedules (m, 5 n + 1) waits at the end: (m, n)."""
+        """How long each joint of schedules (m, 5 n + 1) waits at the end: (m, n)."""
         rests_s = x[:, self._n : -1].reshape(len(x), 4, self._n).sum(axis=1)
         left_s: Floats = x[:, -1:] - self._needed_s(self._turns(x, goals), goals) - rests_s
         return left_s
@@ -178,13 +183,13 @@ class Descent:
         return np.where(self._straight, goals, x[:, : self._n])
 
     def _steps(self, x: Floats, goals: Floats) -> tuple[Floats, Floats]:
-        """Times and jerk steps of schedules (m, 5 n + 1), with goals (m, n): (m, n, 16) each."""
+        """Times and jerk steps of schedules (m, 5 n + 1) with goals (m, n): (m, n, 16) each."""
         turns, rests_s = self._turns(x, goals), x[:, self._n : -1].reshape(len(x), 4, self._n).transpose(0, 2, 1)
         first, second = legs(turns - self._start, self._limits), legs(goals - turns, self._limits)
         return one_after_another(first, second, merged_ramps_s(*first[:2], *second[:2]), rests_s)
 
     def _courses(self, x: Floats, goals: Floats) -> tuple[Floats, Floats | None]:
-        """Where schedules are at the samples (m, samples, n), and their spill angles there (m, samples)."""
+        """Positions of schedules at the samples (m, samples, n), and their spill angles there (m, samples)."""
         times_s, steps = self._steps(x, goals)
         since = np.maximum((x[:, -1:] * _SAMPLES)[:, :, None, None] - times_s[:, None], 0.0)
         states = [np.einsum("nmjk,njk->nmj", since**power, steps) for power in (3, 2, 1)]
@@ -209,7 +214,7 @@ class Descent:
     # The ends of a pose -----------------------------------------------------------------------------
 
     def _missed(self, q: Floats) -> Floats:
-        """By what a configuration misses the pose: of apex [m], axis, and its seam if it has one."""
+        """A configuration's error from the pose: apex [m], axis, and the seam if it has one."""
         assert self._pose is not None
         reached, pose = apex(q, self._prover.mount), self._pose
         missed = [reached.position_m - pose.position_m, np.linalg.svd(pose.axis[None])[2][1:] @ reached.axis]
@@ -222,7 +227,7 @@ class Descent:
         return np.stack([(self._missed(q + _STEP * one) - missed) / _STEP for one in np.eye(self._n)], axis=1)
 
     def _own_motion(self, goal: Floats) -> Floats:
-        """The directions in which the arm moves and its end stays: (n, 2), or fewer."""
+        """The directions of self-motion, in which the arm moves while its end stays: (n, 2), or fewer."""
         if self._pose is None:
             return np.zeros((self._n, 0))
         slopes = self._slopes(goal)
@@ -242,7 +247,7 @@ class Descent:
     def _changed(
         self, best: _Look, trust_rad: float, least_s: float, is_anew: bool, ends: Callable[[], bool]
     ) -> tuple[_Look | None, float]:
-        """What is better, None where nothing is, and within what changes it was found."""
+        """A better schedule, or None, and the trust region in which it was found."""
         own, size = self._own_motion(best.goal), len(best.x)
         moves = np.eye(size + own.shape[1]) * _STEP
         x, goals = best.x + np.vstack([0 * moves[:1], moves])[:, :size], np.tile(best.goal, (len(moves) + 1, 1))
@@ -275,22 +280,22 @@ class Descent:
     def _kept(
         self, looked: _Look, slopes: Floats, tilting: Floats | None, change: Floats | float
     ) -> tuple[list[Floats], list[Floats]]:
-        """The rows of a program and their limits that keep what is near, and level, so; as seen after a change."""
+        """Rows and limits of a program that keep near pairs apart, and the load level, as seen after a change."""
         near = looked.near
         away = -np.einsum("kn,knx->kx", near.gradients, slopes[near.at])
         rows, limits = [away], [near.distances_m - self._margin_m]
         if tilting is not None and looked.spills_deg is not None and self._spill_deg is not None:
             rows.append(_M_PER_DEG * tilting)
             limits.append(_M_PER_DEG * (self._spill_deg - looked.spills_deg))
-        # Slopes are those of before; what was seen counts from there.
+        # The slopes are from before the change, so the limits are shifted back by it.
         limits = [limit + row @ np.broadcast_to(change, row.shape[1]) for row, limit in zip(rows, limits, strict=True)]
         return [np.column_stack([row, -np.ones(len(row))]) for row in rows], limits
 
     def _solved(
         self, best: _Look, rows: list[Floats], limits: list[Floats], trust_rad: float, least_s: float, free: int
     ) -> Floats | None:
-        """The change of x, and of the end, of one program."""
-        from scipy.optimize import linprog  # half a second, which not every command has to spend
+        """Solve one program: the change of x, and of the end."""
+        from scipy.optimize import linprog  # takes half a second to load
 
         n, size, total_s = self._n, len(best.x), float(best.x[-1])
         most = np.concatenate([np.where(self._straight, 0.0, trust_rad), np.full(4 * n, _S_PER_RAD * trust_rad), [0.0]])
@@ -304,7 +309,7 @@ class Descent:
         costs[size - 1], costs[-1] = 1.0, _SLACK_S_PER_M
         bounds = np.column_stack([np.concatenate([low, -ends, [0.0]]), np.concatenate([high, ends, [np.inf]])])
         matrix, limit = np.vstack(rows), np.concatenate(limits)
-        # What no change within the bounds can come near to is no matter.
+        # Rows that no change within the bounds can violate are left out.
         matters = np.maximum(matrix[:, :-1] * bounds[:-1, 0], matrix[:, :-1] * bounds[:-1, 1]).sum(axis=1) > limit
         solved = linprog(costs, matrix[matters], limit[matters], bounds=bounds, method="highs-ds")
         found: Floats | None = None if solved.x is None else solved.x[:-1]

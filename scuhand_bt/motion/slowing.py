@@ -1,10 +1,10 @@
-"""A course is slowed where its joints would not keep their limits, and only there; its path stays as it is.
+"""Slows a course where, and only while, its joints would exceed their limits; its path stays the same.
 
-    f_k = max over joints of  |q'| / v,  (|q''| / a)^(1/2),  (|q'''| / j)^(1/3)         in the step k of the cubics
+    f_k = max over joints of  |q'| / v,  (|q''| / a)^(1/2),  (|q'''| / j)^(1/3)         in step k of the cubics
 
-A step that asks for f > 1 is to take longer, one that asks for less may take less, but never less than it was asked to;
-its neighbours nearly so, as a speed cannot change at once: the factors' upper envelope is averaged over a window. Of
-some rounds of that, each half of the way, the quickest is taken, slowed as a whole by what it still lacks.
+A step with f > 1 must take longer. One with less may take less time, but never less than requested. Neighbouring steps
+have to follow, as a speed cannot change at once, so the factors' upper envelope is averaged over a window. This is
+repeated with half of the correction each time. The quickest result is taken, slowed as a whole by what it still lacks.
 
 Samples (m, n), times (m,) [s].
 """
@@ -18,15 +18,16 @@ from scuhand_bt.motion.trajectory import JointTrajectory, through
 ROUNDS = 30
 WINDOW_S = 0.12
 HALF_WAY = 0.5
-"""The power of the factors that a round takes: with all of it rounds swing to and fro."""
+"""The power of the factors used in a round; with the full power rounds would oscillate."""
 QUICKER = 0.7
-"""No round makes a step quicker by more."""
+"""No round shortens a step by more than this factor."""
 ENOUGH = 1.02
+"""Largest remaining factor at which the rounds may end."""
 
 
 def slowed(times_s: Floats, samples: Floats, rates: RateLimits) -> JointTrajectory:
-    """The cubics through the samples, in these times where the limits allow it."""
-    from scipy.ndimage import maximum_filter1d, uniform_filter1d  # which not every command has to load
+    """The cubics through the samples, at the given times where the limits allow that."""
+    from scipy.ndimage import maximum_filter1d, uniform_filter1d  # slow to load
 
     asked_s = np.diff(times_s)
     slower: Floats = np.ones_like(asked_s)
@@ -49,7 +50,7 @@ def slowed(times_s: Floats, samples: Floats, rates: RateLimits) -> JointTrajecto
 
 
 def _factors(motion: JointTrajectory, rates: RateLimits) -> Floats:
-    """Of each step, how many times slower it would have to be."""
+    """How many times slower each step would have to be."""
     h = np.diff(motion.knots_s)[:, None]
     _, c1, c2, c3 = motion.coefficients
     speeds = np.maximum(np.abs(c1), np.abs(c1 + h * (2 * c2 + 3 * h * c3)))

@@ -1,17 +1,16 @@
-"""Coming to rest along the path: from any moment of a motion, without leaving what was proven free.
+"""Coming to rest along the path, from any moment of a motion, without leaving what was proven free.
 
     q(t) = Q(s(t)),     s' = 1 at first, 0 at the end
     q''  = Q'' s'^2 + Q' s''
     q''' = Q''' s'^3 + 3 Q'' s' s'' + Q' s'''
 
-Q is the motion under way, s [s] its own time. After a delay, s' is brought to zero over a time T as
-s'(x) = 1 - 10 x^3 + 15 x^4 - 6 x^5, x in 0..1, which runs over T/2 of the motion. Of all delays and
-times on a grid the earliest end is taken that keeps the load's spill angle and the joints' limits, of
-which a stop may use more than a plan does: a motion that is at its limits already could not be slowed
-at all otherwise. Where nothing ends sooner than the motion itself, the motion is followed to its end.
+Q is the motion under way, s [s] its own time. After a delay, s' is brought to zero over a time T as s'(x) = 1 - 10 x^3
++ 15 x^4 - 6 x^5, x in 0..1, which covers T/2 of the motion. Of all delays and times on a grid, the earliest end is
+taken that keeps the load's spill angle and the limits of a stop. These are wider than a plan's, as a motion at its
+limits could not be slowed otherwise. If nothing ends sooner than the motion itself, the motion is followed to its end.
 
-Joints [rad], times [s]. The grid is looked at many stops at once, by a few samples of each, and proven
-only then: a stop is found in a few milliseconds.
+Joints [rad], times [s]. Many stops of the grid are tested at once by a few samples each, and only then proven, so a
+stop is found in a few milliseconds.
 """
 
 import math
@@ -27,23 +26,25 @@ from scuhand_bt.motion.torque import Torques
 from scuhand_bt.motion.trajectory import JointTrajectory
 
 HARDER = 2.0
-"""Acceleration a stop may use, over the plan's; and no more torque than the servos give at a stall."""
+"""Acceleration that a stop may use, relative to a plan's; but no more torque than the servos' stall torque."""
 JERKIER = 4.0
-"""Jerk a stop may use, over the plan's."""
+"""Jerk that a stop may use, relative to a plan's."""
 _DELAYS_S = np.arange(0.0, 0.61, 0.04)
 _BRAKING_S = np.geomspace(0.08, 3.0, 28)
 _SHARES = np.linspace(0.0, 1.0, 120)
-"""When a stop is looked at, as shares of its duration."""
+"""When a stop is evaluated for a proof, as shares of its duration."""
 _FIRST_LOOK = _SHARES[::7]
-"""And when it is first: what fails here would fail there."""
+"""When it is evaluated first; what fails here would fail the proof."""
 _AT_ONCE, _FEW_AT_ONCE = 48, 8
-"""Stops that are looked at together, and proven together: the soonest that keeps the limits is mostly among them."""
+"""How many stops are tested together, and proven together; the soonest possible one is mostly among the first."""
 _TOLERANCE = 1e-9
 _TORQUE_GRID_S = 0.01
 
 
 class StoppableTrajectory(JointTrajectory):
-    """A planned motion, with what its stops must keep: the joints' limits, a load held so, the servos' stall torque."""
+    """A planned motion with what its stops must keep: joint limits, the load's spill limit, the servos' stall
+    torque.
+    """
 
     def __init__(
         self, motion: JointTrajectory, rates: RateLimits, mount: Mount, torques: Torques | None = None
@@ -56,7 +57,7 @@ class StoppableTrajectory(JointTrajectory):
     def stopped_from(self, at_s: float) -> "Stop":
         """The same motion up to `at_s`, and from there its soonest stop along the path, within its limits.
 
-        `at_s` is clamped to the motion; ValueError if it is no number.
+        `at_s` is clamped to the motion. Raises ValueError if it is not finite.
         """
         if not math.isfinite(at_s):
             raise ValueError(f"a stop begins at a moment of the motion, not at {at_s!r} s")
@@ -66,7 +67,7 @@ class StoppableTrajectory(JointTrajectory):
     def _soonest(self, at_s: float) -> "Stop | None":
         left_s = self.duration_s - at_s
         delays_s, brakings_s = (grid.ravel() for grid in np.meshgrid(_DELAYS_S, _BRAKING_S))
-        # Braking runs over half its time of the motion, which must not end before.
+        # Braking for T covers T/2 of the motion, which must not end before that.
         possible = np.flatnonzero((delays_s + brakings_s / 2 < left_s) & (delays_s + brakings_s < left_s))
         possible = possible[np.argsort((delays_s + brakings_s)[possible], kind="stable")]
         for some in _parts(possible, _AT_ONCE):
@@ -80,7 +81,7 @@ class StoppableTrajectory(JointTrajectory):
         return None
 
     def _bears(self, stop: "Stop") -> bool:
-        """Whether the servos can give what a stop takes."""
+        """Whether the servos have the torque for a stop."""
         torques = self._torques
         if torques is None:
             return True
@@ -89,9 +90,9 @@ class StoppableTrajectory(JointTrajectory):
         return bool((np.abs(torques.moving(q, speed, acceleration)) <= torques.stall_nm).all())
 
     def _keeps(self, at_s: float, delays_s: Floats, brakings_s: Floats, *, is_proof: bool) -> np.ndarray:
-        """Which of n stops, delays and times (n, 1), keep all limits: shape (n,). No speed is above the motion's own.
+        """Which of n stops, delays and times (n, 1), keep all limits: (n,). Speeds are never above the motion's own.
 
-        Only a proof looks at all of their moments, and at what the load may see between two of them.
+        Only a proof evaluates all samples, and what the load may undergo between two of them.
         """
         course = _course((_SHARES if is_proof else _FIRST_LOOK) * (delays_s + brakings_s), delays_s, brakings_s)
         n = len(delays_s)
@@ -110,9 +111,9 @@ class StoppableTrajectory(JointTrajectory):
 
 
 class Stop:
-    """A motion that from `at_s` on comes to rest on its own path; what the arm follows from when it is told to stop.
+    """A motion that comes to rest on its own path from `at_s` on; the arm follows it when told to stop.
 
-    An infinite delay is none at all: the motion goes on to its own end.
+    With an infinite delay the motion simply goes on to its end.
     """
 
     def __init__(self, motion: JointTrajectory, at_s: float, delay_s: float, braking_s: float) -> None:
@@ -124,21 +125,21 @@ class Stop:
 
     @property
     def duration_s(self) -> float:
-        """Of all of it, the motion before the stop included."""
+        """Of the whole motion, including the part before the stop."""
         return min(self.at_s + self._delay_s + self._braking_s, self._motion.duration_s)
 
     def sample(self, time_s: float) -> Floats:
-        """Joint positions [rad] at a time since the motion's start, shape (7,); clamped to its ends."""
+        """Joint positions [rad] at a time since the motion's start, (7,); clamped to its ends."""
         since_s = min(time_s, self.duration_s) - self.at_s
         return self._motion.sample(self.at_s + float(_course(np.array(since_s), self._delay_s, self._braking_s)[0]))
 
     def stopped_from(self, at_s: float) -> "Stop":
-        """Itself: what stops already is not stopped again."""
+        """Itself: a stop is not stopped again."""
         return self
 
     @cached_property
     def end(self) -> Floats:
-        """Where it comes to rest, shape (7,)."""
+        """Where it comes to rest, (7,)."""
         return self.sample(self.duration_s)
 
     def at(self, times_s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -153,7 +154,7 @@ def _parts(indices: np.ndarray, count: int) -> Iterator[np.ndarray]:
 def _course(since_s: Floats, delay_s: Floats | float, braking_s: Floats | float) -> Floats:
     """How much of the motion has passed at times since the stop was asked for, and its first three derivatives.
 
-    Shapes as broadcast, four of them in one array. Before that moment the motion's time is time itself.
+    The shape is as broadcast, with a leading axis of four. Before that moment the motion's time is real time.
     """
     x = np.clip((since_s - delay_s) / braking_s, 0.0, 1.0)
     run_s = braking_s * (x - 2.5 * x**4 + 3 * x**5 - x**6)
@@ -168,7 +169,7 @@ def _course(since_s: Floats, delay_s: Floats | float, braking_s: Floats | float)
 
 
 def _along(motion: JointTrajectory, at_s: float, course: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Position, speed, acceleration and jerk (n, 7) where a course (4, n) since `at_s` has come to."""
+    """Position, speed, acceleration and jerk (n, 7) at the points of a course (4, n) since `at_s`."""
     s, s1, s2, s3 = course[:, :, None]
     q, q1, q2, q3 = (motion.at(at_s + s[:, 0], k) for k in range(4))
     return q, q1 * s1, q2 * s1**2 + q1 * s2, q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3

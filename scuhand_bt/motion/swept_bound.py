@@ -1,7 +1,7 @@
-"""How far anything can move between two configurations: what makes samples a proof.
+"""How far anything can move between two configurations, which makes samples a proof.
 
-Turning joint j by dq_j moves whatever lies beyond it along an arc of at most the radius rho_j. On a straight line of
-the joints the way of every point of the arm, seen from the base or from any link before it, is therefore no longer than
+Turning joint j by dq_j moves whatever lies beyond it along an arc of radius rho_j at most. On a straight line of the
+joints, the way of every point of the arm, seen from the base or from any link before it, is therefore no longer than
 
     L = sum_j rho_j |dq_j|        rho_j: largest distance [m] of anything beyond joint j from its axis
 
@@ -24,20 +24,20 @@ _RIM_SIDES = 12
 
 
 class SweptBound:
-    """The bound for an arm of these shapes."""
+    """The bound for an arm with these shapes."""
 
     def __init__(self, shapes: pin.GeometryModel, model: pin.Model) -> None:
         self.reach_m = _reach_m([_Hull.of(thing) for thing in shapes.geometryObjects], model)
 
     def passed_m(self, q: Floats) -> Floats:
-        """Within what distance every point passes the nearer of two neighbouring samples (n, 7): (n - 1,)."""
+        """The distance within which every point passes the nearer of two neighbouring samples (n, 7): (n - 1,)."""
         passed: Floats = np.abs(q[1:] - q[:-1]) @ self.reach_m / 2
         return passed
 
 
 @dataclass(frozen=True, slots=True)
 class _Hull:
-    """A shape enclosed: balls of one radius around points in its joint's frame, and all between them."""
+    """An enclosure of a shape: the convex hull of balls of one radius about points in its joint's frame."""
 
     joint: int
     points: Floats

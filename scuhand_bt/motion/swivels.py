@@ -1,12 +1,11 @@
-"""How the elbow swings along a course of poses: the quickest of all its ways round, by dynamic programming.
+"""How the elbow swings along a course of poses: the quickest of all its ways, by dynamic programming.
 
     cost(k + 1, j) = min over i near j of  cost(k, i) + max over joints |q(k + 1, j) - q(k, i)| / v
 
-with the ways from where the arm is to the course, and back, at its ends.
-A state (k, i) is one of the four branches of the closed form at one swivel angle, at one of the course's poses; those
-outside the joints' limits are none. Nine of ten touch nothing, so that is looked at late: the grid's way is evened, and
-where the course then touches something, all states of the poses there are looked at, and the next way is looked for.
-Where they were looked at before, those beside the way are given up.
+plus the ways from the arm's position to the course and back. A state (k, i) is one of the four branches of the closed
+form at one swivel angle, at one of the course's poses, within the joints' limits. Nine of ten touch nothing, so
+contact is tested late. The grid's way is smoothed. Where the resulting course touches something, all states of the
+poses there are tested, and the next way is searched. If they were tested before, the states near the way are given up.
 
 Angles [rad], shapes: n poses, S swivel angles, 4 branches, 7 joints.
 """
@@ -24,18 +23,19 @@ from scuhand_bt.motion.inverse import along, branches_of, swivel_grid, swivel_of
 from scuhand_bt.motion.kinematics import Floats, Mount
 
 LOOKED_AT = 32
-"""Poses of a course whose configurations are looked at."""
+"""How many poses of a course have states."""
 SWING = 4
-"""Steps of the swivels' grid from one of these poses to the next, at most."""
+"""Largest step of the swivel from one of these poses to the next, in grid steps."""
 JUMP_RAD = 0.6
-"""A joint that would turn by more from one of these poses to the next has changed the branch."""
+"""A joint that would turn by more from one of these poses to the next has changed its branch."""
 EVENED = 3
-"""How many of these poses the swivel is averaged over."""
+"""Over how many of these poses the swivel is averaged."""
 GIVEN_UP = 2
-"""States on both sides of one that is given up."""
+"""How many states on both sides of one are given up with it."""
 NEXT_RAD = 0.3
-"""A state so near to the end of a course stands for it."""
+"""A state this close to a prescribed end may stand for it."""
 TRIES = 8
+"""How many ways are tried."""
 
 
 def courses(
@@ -46,11 +46,11 @@ def courses(
     mount: Mount,
     ends: tuple[Floats, Floats] | None = None,
 ) -> Iterator[Floats]:
-    """Configurations (n, 7) of positions, axes and seams (n, 3), free in the scene; the quickest first.
+    """Configurations (n, 7) for positions, axes and seams (n, 3), free in the scene; the quickest first.
 
-    Each is a course of its own, begun and ended near to `near`; with `ends` all begin and end in those configurations
-    (7,), which are of the first and the last pose. SkillFailed arm.unreachable or arm.no_path with the reason, when
-    there is no other any more.
+    Each is another course, begun and ended near `near`. With `ends`, all begin and end in those configurations (7,),
+    which must belong to the first and the last pose. Raises SkillFailed arm.unreachable or arm.no_path, with the
+    reason, when there are no more.
     """
     n = len(poses[0])
     at = np.unique(np.linspace(0, n - 1, LOOKED_AT).round().astype(int))
@@ -69,7 +69,7 @@ def courses(
     while tries and (found := _quickest(q, open_, near, speed)) is not None:
         swivels, way = found
         phi = np.interp(np.arange(n), at, grid[0] + swivels * (2 * math.pi / len(grid)))
-        if ends is not None:  # the last swivel of the grid is near to the wanted one
+        if ends is not None:  # the grid's last swivel is only near the wanted one
             phi += np.linspace(0.0, math.remainder(swivel_of(ends[1], mount) - phi[-1], 2 * math.pi), n)
         course = along(*poses, _evened(phi, EVENED * n // LOOKED_AT | 1), way[0], mount)
         worst = at[1 + int(np.abs(np.diff(way, axis=0)).max(axis=1).argmax())]
@@ -92,7 +92,7 @@ def courses(
 
 
 def _look(scene: Scene, q: Floats, open_: NDArray[np.bool_], poses: NDArray[np.int_]) -> None:
-    """Close what touches something at these poses; SkillFailed arm.no_path where that is all."""
+    """Close the states that touch something at these poses. Raises SkillFailed arm.no_path if that leaves none."""
     for k in poses:
         states = q[k][open_[k]]
         hits = scene.hits(states)
@@ -104,7 +104,7 @@ def _look(scene: Scene, q: Floats, open_: NDArray[np.bool_], poses: NDArray[np.i
 def _quickest(
     q: Floats, open_: NDArray[np.bool_], near: Floats, speed: Floats
 ) -> tuple[NDArray[np.int_], Floats] | None:
-    """The swivels (k,) of the quickest way through q (k, S, 4, 7), counted on beyond a turn, and the way (k, 7)."""
+    """The swivels (k,) of the quickest way through q (k, S, 4, 7), counted beyond a turn, and the way (k, 7)."""
     states = [q[k][open_[k]] for k in range(len(q))]
     swivels = [np.nonzero(open_[k])[0] for k in range(len(q))]
     cost, around = (np.abs(states[0] - near) / speed).max(axis=1), q.shape[1]
@@ -131,12 +131,12 @@ def _quickest(
 
 
 def _steps(apart: NDArray[np.int_], around: int) -> NDArray[np.int_]:
-    """By how many steps of their circle, `around` of them, swivels are apart, the shorter way."""
+    """Signed number of steps between swivels on a circle of `around` steps, the shorter way."""
     return (apart + around // 2) % around - around // 2
 
 
 def _evened(phi: Floats, width: int) -> Floats:
-    """Averaged twice over so many (an odd number), its ends as they are."""
+    """Averaged twice over `width` (odd) samples, with the ends unchanged."""
     kernel = np.full(width, 1 / width)
     for _ in range(2):
         phi = np.convolve(np.pad(phi, width // 2, mode="reflect", reflect_type="odd"), kernel, mode="valid")

@@ -1,17 +1,16 @@
-"""How fast: the shortest jerk-limited motion between states, by Ruckig.
+"""The time law: the shortest jerk-limited motion between states, by Ruckig.
 
     |q'| <= v,  |q''| <= a,  |q'''| <= j      for each joint;  all joints start and end together
 
-From rest to rest over a distance D the optimum is known in closed form (with a^2/j <= v):
+From rest to rest over a distance D the optimum has a closed form (if a^2/j <= v):
 
     T = D/v + v/a + a/j                     D >= v (v/a + a/j)       full speed is reached
     T = a/j + sqrt((a/j)^2 + 4 D/a)         D >= 2 a^3/j^2           full acceleration is reached
     T = 4 (D / 2j)^(1/3)                    otherwise
 
-The slowest joint's T is what Ruckig finds too; it ranks hundreds of goals at once and is the lower
-bound of every motion between the same ends, whatever its path. q [rad], v [rad/s], a [rad/s^2],
-j [rad/s^3], T [s]. Berscheid and Kröger, "Jerk-limited real-time trajectory generation with
-arbitrary target states", RSS 2021.
+The slowest joint's T is Ruckig's result, too. It ranks hundreds of goals at once, and is the lower bound (*bound*) of
+every motion between the same ends, whatever its path. q [rad], v [rad/s], a [rad/s^2], j [rad/s^3], T [s]. Berscheid
+and Kröger, "Jerk-limited real-time trajectory generation with arbitrary target states", RSS 2021.
 """
 
 import math
@@ -28,14 +27,14 @@ _SHORTEST_S = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class RateLimits:
-    """Largest speed, acceleration and jerk of each coordinate, shape (n,) each."""
+    """Largest speed, acceleration and jerk of each coordinate, (n,) each."""
 
     speed: Floats
     acceleration: Floats
     jerk: Floats
 
     def stretch_for(self, trajectory: JointTrajectory) -> float:
-        """How many times slower a motion must be to keep these limits; below 1 it could be faster."""
+        """How many times slower a motion must be to keep these limits; below 1 it could be quicker."""
         speed, acceleration, jerk = trajectory.extremes()
         return max(
             float((speed / self.speed).max()),
@@ -45,21 +44,21 @@ class RateLimits:
 
 
 def rest_to_rest_s(distances: Floats, limits: RateLimits) -> Floats:
-    """Duration of the optimum from rest to rest over distances (..., n): shape (...)."""
+    """Duration of the optimum from rest to rest over distances (..., n): (...)."""
     longest: Floats = joint_rest_to_rest_s(distances, limits).max(axis=-1)
     return longest
 
 
 def joint_rest_to_rest_s(distances: Floats, limits: RateLimits) -> Floats:
-    """Every joint's own optimum from rest to rest over distances (..., n): shape (..., n)."""
+    """Each joint's own optimum from rest to rest over distances (..., n): (..., n)."""
     t1, t2, t3 = _phases_s(distances, limits)
     return 4 * t1 + 2 * t2 + t3
 
 
 def _phases_s(distances: Floats, limits: RateLimits) -> tuple[Floats, Floats, Floats]:
-    """Every joint's own optimum from rest to rest: at full jerk, at full acceleration, at full speed, (..., n) each."""
+    """Phases of each joint's optimum from rest to rest: at full jerk, acceleration and speed, (..., n) each."""
     d = np.abs(distances)
-    # Where the speed limit binds before the acceleration limit does, the reachable acceleration is sqrt(v j).
+    # If the speed limit is reached before the acceleration limit, the acceleration only reaches sqrt(v j).
     v, j = limits.speed, limits.jerk
     a = np.minimum(limits.acceleration, np.sqrt(v * j))
     whole_s = a / j + np.sqrt((a / j) ** 2 + 4 * d / a)
@@ -74,9 +73,9 @@ _SIGNS = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0])
 
 
 def legs(distances: Floats, limits: RateLimits) -> tuple[Floats, Floats, Floats]:
-    """Every joint's own optimum from rest to rest over distances (..., n), as its eight steps of jerk.
+    """Each joint's own optimum from rest to rest over distances (..., n), as eight jerk steps.
 
-    Times and steps (..., n, 8), durations (..., n): jerk for t1, none for t2, back for t1, none for t3
+    Returns times and steps (..., n, 8) and durations (..., n): jerk for t1, none for t2, opposite for t1, none for t3
     at the highest speed, and all of it again with the other sign.
     """
     t1, t2, t3 = _phases_s(distances, limits)
@@ -89,11 +88,10 @@ def legs(distances: Floats, limits: RateLimits) -> tuple[Floats, Floats, Floats]
 
 
 class TimeLaw:
-    """Ruckig for n coordinates, with what it does not check checked, and its input kept for reuse.
+    """Ruckig for n coordinates, with the checks that it lacks, and its input kept for reuse.
 
-    Ruckig reads past its vectors when their length is not its own (or ends the process), so every
-    length is checked here. Positions are not limited by Ruckig (its community version ignores those
-    fields): whoever uses the result looks at them.
+    Ruckig reads past its vectors, or ends the process, if their length is wrong, so every length is checked here. It
+    does not limit positions (its community version ignores those fields), so callers must.
     """
 
     def __init__(self, limits: RateLimits) -> None:
@@ -106,11 +104,11 @@ class TimeLaw:
         self._input.max_velocity = limits.speed.tolist()
         self._input.max_acceleration = limits.acceleration.tolist()
         self._input.max_jerk = limits.jerk.tolist()
-        # From rest to rest this is a straight line; elsewhere Ruckig falls back to a common duration.
+        # From rest to rest this gives a straight line; else Ruckig falls back to a common duration.
         self._input.synchronization = Synchronization.Phase
 
     def solve(self, q0: Floats, v0: Floats, q1: Floats, v1: Floats) -> Trajectory | None:
-        """Ruckig's own trajectory between two states of no acceleration, None if it finds none."""
+        """Ruckig's trajectory between two states without acceleration; None if it finds none."""
         for vector in (q0, v0, q1, v1):
             if vector.shape != (self.size,):
                 raise ValueError(f"a state of {self.size} coordinates is needed, not of shape {vector.shape}")
@@ -125,7 +123,7 @@ class TimeLaw:
         return trajectory if result in (Result.Working, Result.Finished) else None
 
     def pieces(self, points: Floats, speeds: Floats) -> list[Trajectory] | None:
-        """The optima from point to point (m, n) with the speeds (m, n) there; None if one fails."""
+        """The optima from point to point (m, n), with speeds (m, n) there; None if one fails."""
         solved = []
         for k in range(len(points) - 1):
             piece = self.solve(points[k], speeds[k], points[k + 1], speeds[k + 1])
@@ -135,7 +133,7 @@ class TimeLaw:
         return solved
 
     def straight(self, points: Floats) -> JointTrajectory:
-        """Along a polyline (m, n) exactly, at rest in every vertex."""
+        """Exactly along a polyline (m, n), at rest in every vertex."""
         return joined([self._straight_leg(points[k], points[k + 1]) for k in range(len(points) - 1)])
 
     def _straight_leg(self, q0: Floats, q1: Floats) -> JointTrajectory:
@@ -153,9 +151,9 @@ class TimeLaw:
 def cubics(pieces: list[Trajectory]) -> JointTrajectory:
     """Ruckig's profiles as one piecewise-cubic motion.
 
-    Ruckig ends a profile up to 1e-8 rad from its target. That does not matter where a motion ends, but a
-    piece that began at the target would be a jump, which over a millisecond is a jerk of 20 rad/s^3: each
-    piece begins where the one before it ends.
+    Ruckig ends a profile up to 1e-8 rad from its target. That does not matter at the end of a motion. But a piece that
+    began at the target would be a jump, which over a millisecond is a jerk of 20 rad/s^3. So each piece begins where
+    the one before it ends.
     """
     parts: list[JointTrajectory] = []
     for piece in pieces:

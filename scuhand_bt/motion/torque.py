@@ -1,9 +1,9 @@
-"""What the joints bear: torques by the links' inertias, and how slow a motion must be for the servos to keep up.
+"""Torques of the joints, from the links' inertias, and how slow a motion must be for the servos.
 
     tau = g(q) + M(q) q'' + C(q, q') q'          (Newton-Euler, by Pinocchio)
 
-Slower by k, a motion's gravity is the same and all the rest is 1/k^2. Friction, and what a load of some grams adds, are
-left out. Joints [rad] (n, 7), torques [N m], times [s].
+Slowed by k, a motion's gravity term is the same and the rest is 1/k^2. Friction and a load of some grams are left out.
+Joints [rad] (n, 7), torques [N m], times [s].
 """
 
 import math
@@ -20,7 +20,7 @@ _GRID_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Strain:
-    """The joint that is nearest to what its servo can give: its number from 1, its torque, and that torque's limit."""
+    """The joint nearest to its servo's limit: its number from 1, its torque, and the limit."""
 
     joint: int
     torque_nm: float
@@ -28,12 +28,12 @@ class Strain:
 
     @property
     def share(self) -> float:
-        """Of the limit."""
+        """Torque relative to the limit."""
         return self.torque_nm / self.limit_nm
 
 
 class TooHeavyError(Exception):
-    """A motion that no slowness makes bearable: `strain` is what its joints would have to hold at rest."""
+    """A motion that no slowing makes bearable: `strain` is what its joints would have to hold at rest."""
 
     def __init__(self, strain: Strain) -> None:
         super().__init__(
@@ -43,10 +43,10 @@ class TooHeavyError(Exception):
 
 
 class Torques:
-    """The torques of one arm with its hand; `share` of its servos' stall torque is what a motion may take.
+    """The torques of one arm with its hand. A motion may take the `share` of its servos' stall torque.
 
-    `hand_kg` is the mass beyond the last joint, spread as the URDF has it; None for the URDF's own.
-    ValueError for a URDF by which no torque can be told.
+    `hand_kg` is the mass beyond the last joint, distributed as in the URDF; None for the URDF's own. Raises ValueError
+    for a URDF without the masses or efforts that this needs.
     """
 
     def __init__(self, model: pin.Model, share: float = 1.0, hand_kg: float | None = None) -> None:
@@ -67,28 +67,28 @@ class Torques:
 
     @property
     def joints(self) -> int:
-        """How many joints there are: the first columns of a motion."""
+        """Number of joints; they are the first columns of a motion."""
         return int(self._model.nq)
 
     def holding(self, q: Floats) -> Floats:
-        """What is held at rest in configurations (n, 7): (n, 7)."""
+        """Torques at rest in configurations (n, 7): (n, 7)."""
         return np.array([pin.computeGeneralizedGravity(self._model, self._data, one) for one in q])
 
     def moving(self, q: Floats, speed: Floats, acceleration: Floats) -> Floats:
-        """What moving so takes, all (n, 7): (n, 7)."""
+        """Torques of a motion's states, (n, 7) each: (n, 7)."""
         every = zip(q, speed, acceleration, strict=True)
         return np.array([pin.rnea(self._model, self._data, *one) for one in every])
 
     def strain(self, torques_nm: Floats) -> Strain:
-        """The joint of torques (n, 7) that is nearest to what its servo can give at a stall."""
+        """Of torques (n, 7), the joint nearest to its servo's stall torque."""
         shares = (np.abs(torques_nm) / self.stall_nm).max(axis=0)
         joint = int(np.argmax(shares))
         return Strain(joint + 1, float(shares[joint] * self.stall_nm[joint]), float(self.stall_nm[joint]))
 
     def stretch(self, motion: JointTrajectory) -> float:
-        """How many times slower (>= 1) a motion of the arm, first of its columns, must be to keep the limits.
+        """How many times slower (>= 1) a motion, with the arm in its first columns, must be to keep the limits.
 
-        TooHeavyError where holding the arm up breaks them.
+        Raises TooHeavyError if merely holding the arm exceeds them.
         """
         times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / _GRID_S) + 2)
         q, speed, acceleration = (state[:, : self.joints] for state in motion.states(times_s))

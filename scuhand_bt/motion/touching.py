@@ -1,21 +1,21 @@
-"""What touched points say: where a thing stands, and where in the hand the apex is. Least squares; numpy only.
+"""What touched points tell: where an object stands, and where in the hand the apex is. Least squares; numpy only.
 
-A thing (`standing`): its landmarks p_k, (3,), were met at t_k by the apex. Rigid motion of the least squares
-(Kabsch, Acta Cryst. A32, 922, 1976): with P, T the points less their means, U S V' = svd(P' T),
+An object (`standing`): the apex met its landmarks p_k (3,) at t_k. The least-squares rigid motion (Kabsch, Acta Cryst.
+A32, 922, 1976) is, with P, T the points less their means and U S V' = svd(P' T),
 
     R = V diag(1, 1, det(V U')) U',      t = mean(T) - R mean(P)
 
-The apex (`apex_in_flange`): one fixed point g was met by it in n postures, whose flanges are at o_k with the turns R_k:
+The apex (`_apex_in_flange`): it met one fixed point g in n postures, whose flanges are at o_k with rotations R_k:
 
     o_k + R_k a = g        3 n equations, linear in a and g
 
-The apex and the joints' zeros (`calibrated`): with an error d of each zero, o and R are of q_k + d, and so
+The apex and the joints' zeros (`calibrated`): with an error d of each zero, o and R belong to q_k + d, so
 
     minimise  sum |o(q_k + d) + R(q_k + d) a - g|^2 / sigma_t^2  +  sum d_i^2 / sigma_d^2,     i = 2 ... 6
 
-by Gauss and Newton's steps, from the linear solution. A turn of joint 1 moves all that is touched, and is in where
-things stand then; a turn of joint 7 only turns a. (Hollerbach & Wampler, "The calibration index and taxonomy for robot
-kinematic calibration methods", Int. J. Robotics Research 15, 1996: a point contact, closed-loop method.)
+by Gauss-Newton steps from the linear solution. An error of joint 1 moves everything that is touched, so it shows in
+where objects stand; an error of joint 7 only turns a. (Hollerbach & Wampler, "The calibration index and taxonomy for
+robot kinematic calibration methods", Int. J. Robotics Research 15, 1996: a point contact, closed-loop method.)
 
 Lengths in mm, angles in degrees.
 """
@@ -28,30 +28,30 @@ import numpy as np
 from scuhand_bt.motion.kinematics import Floats, Mount, apex_frames
 
 LEAST_SIDE_MM = 40.0
-"""Points nearer to each other, or to one line, say too little about a turn."""
+"""Least spread of the points from each other, and from one line, to determine a rotation."""
 TOUCHED_MM, ZERO_RAD = 0.3, math.radians(0.5)
-"""How well a point is touched, and a joint put on its mark, by hand (standard deviations)."""
+"""Standard deviations: of touching a point, and of putting a joint on its mark by hand."""
 ROUNDS = 8
 LEAST_POSTURES = 6
 LEAST_TURN_DEG = 20.0
-"""Postures that differ less from each other do not tell an apex from the point that it touches."""
+"""Least difference of postures that separates the apex from the point that it touches."""
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How a thing stands against where it was taken to: a point p of it is at turn (p - pivot) + pivot + shift."""
+    """How an object stands relative to its assumed place: a point p of it is at turn (p - pivot) + pivot + shift."""
 
     shift_mm: Floats
-    """Of the pivot, (3,), as if it did not lean."""
+    """Shift of the pivot (3,), as if the object did not lean."""
     yaw_deg: float
     tilt_deg: float
-    """Of its upright; no yaw."""
+    """Tilt of its upright axis, without yaw."""
     off_mm: float
-    """How far the worst touched point is from where it then should be: of a rigid thing, the touching's error."""
+    """Largest distance of a touched point from where it should then be; for a rigid object, the error of touching."""
 
 
 def standing(landmarks_mm: Floats, touched_mm: Floats, pivot_mm: Floats) -> Standing:
-    """From landmarks (n, 3) and where they were touched (n, 3), n >= 3; ValueError for too few, or on one line."""
+    """From landmarks (n, 3) and where they were touched (n, 3), n >= 3. ValueError if too few, or on one line."""
     if landmarks_mm.shape != touched_mm.shape or landmarks_mm.ndim != 2 or len(landmarks_mm) < 3:
         raise ValueError("it takes three points or more, each touched once")
     middle, met = landmarks_mm.mean(axis=0), touched_mm.mean(axis=0)
@@ -61,7 +61,7 @@ def standing(landmarks_mm: Floats, touched_mm: Floats, pivot_mm: Floats) -> Stan
     turn = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
     off_mm = np.linalg.norm((landmarks_mm - middle) @ turn.T + met - touched_mm, axis=1)
     yaw = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
-    # What leans a little, or seems to, is best taken for level where it was touched: in the points' middle.
+    # An object that seems to lean a little is taken as level at the middle of the touched points.
     level = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     return Standing(
         level @ (pivot_mm - middle) + met - pivot_mm,
@@ -73,20 +73,20 @@ def standing(landmarks_mm: Floats, touched_mm: Floats, pivot_mm: Floats) -> Stan
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """Where the apex is in the flange, how far the joints are from what they say, and how well that is known."""
+    """Where the apex is in the flange, the errors of the joints' zeros, and how well the touched point fits."""
 
     apex_mm: Floats
     """(3,): along the flange's x, y and the j7 axis."""
     off_rad: Floats
-    """(7,): a joint really is at what it says, and this; 0 for the first and the last."""
+    """(7,): a joint's true angle is its reported one plus this; 0 for the first and the last."""
     off_mm: float
-    """How far from the point the apex then was, in the worst of the postures."""
+    """Distance of the apex from the point in the worst posture."""
 
 
 def calibrated(q: Floats) -> Calibrated:
-    """From the configurations (n, 7) [rad], as said by the servos, in which the apex met one point.
+    """From the configurations (n, 7) [rad], as the servos report them, in which the apex met one point.
 
-    ValueError where they tell too little.
+    Raises ValueError if they are too few or too similar.
     """
     apex_mm, point_mm = _apex_in_flange(q)
 
@@ -114,7 +114,7 @@ def _apex_in_flange(q: Floats) -> tuple[Floats, Floats]:
     if len(q) < LEAST_POSTURES:
         raise ValueError(f"it takes {LEAST_POSTURES} postures or more")
     origins_m, _, seams = apex_frames(q, Mount(0.0, 0.0))
-    # The flange's own x and y, as an axis that leans by a right angle along them has it.
+    # The flange's x is the axis of a cone that leans by a right angle.
     x = apex_frames(q, Mount(0.0, math.pi / 2))[1]
     z = -seams
     turns = np.stack([x, np.cross(z, x), z], axis=2)

@@ -1,10 +1,10 @@
-"""A motion over time as what a jerk-limited motion is: cubics, one after another.
+"""A motion over time as a jerk-limited motion is: piecewise cubic.
 
     q(t) = c0 + c1 u + c2 u^2 + c3 u^3,    u = t - t_k,    t_k <= t <= t_{k+1}
 
-q [rad] shape (n,); position, speed and acceleration are continuous at the knots t_k [s], jerk is
-6 c3, constant in between. Extremes of speed and acceleration are therefore known exactly, and a
-motion can be stretched, reversed and joined without sampling it.
+q [rad] (n,). Position, speed and acceleration are continuous at the knots t_k [s]; the jerk 6 c3 is constant in
+between. So extremes of speed and acceleration are known exactly, and a motion can be stretched, reversed and joined
+without sampling it.
 """
 
 import bisect
@@ -19,10 +19,10 @@ _SAME_S = 1e-9
 
 
 class JointTrajectory:
-    """A piecewise-cubic motion of n joints; what the arm follows.
+    """A piecewise-cubic motion of n joints, which the arm follows.
 
-    `knots_s` shape (k + 1,), strictly increasing from 0; `coefficients` shape (4, k, n), rising powers.
-    `spill_limit_deg` is what the motion was proven to keep, None for an empty cone.
+    `knots_s` (k + 1,) increase strictly from 0; `coefficients` (4, k, n) have rising powers. `spill_limit_deg` is the
+    limit that the motion is proven to keep, None for an empty cone.
     """
 
     def __init__(self, knots_s: Floats, coefficients: Floats, spill_limit_deg: float | None = None) -> None:
@@ -39,24 +39,24 @@ class JointTrajectory:
 
     @cached_property
     def start(self) -> Floats:
-        """Where it begins, shape (n,)."""
+        """Where it begins, (n,)."""
         return self.sample(0.0)
 
     @cached_property
     def end(self) -> Floats:
-        """Where it ends, shape (n,)."""
+        """Where it ends, (n,)."""
         return self.sample(self.duration_s)
 
     def sample(self, time_s: float) -> Floats:
-        """Joint positions [rad] at one time, shape (n,); clamped to the ends."""
+        """Joint positions [rad] at one time, (n,); clamped to the ends."""
         time_s = min(max(time_s, 0.0), self._knots[-1])
         k = min(bisect.bisect_right(self._knots, time_s), len(self._knots) - 1) - 1
         u, cubics = time_s - self._knots[k], self.coefficients[:, k].T.tolist()
-        # Of a few joints plain floats are quicker than arrays.
+        # For a few joints plain floats are quicker than arrays.
         return np.array([((c3 * u + c2) * u + c1) * u + c0 for c0, c1, c2, c3 in cubics])
 
     def at(self, times_s: Floats, derivative: int = 0) -> Floats:
-        """Positions or their 1st, 2nd or 3rd derivative at many times within the motion: shape (m, n)."""
+        """Positions, or their 1st, 2nd or 3rd derivative, at many times within the motion: (m, n)."""
         u, (c0, c1, c2, c3) = self._cubics_at(times_s)
         value: Floats = (
             ((c3 * u + c2) * u + c1) * u + c0,
@@ -67,7 +67,7 @@ class JointTrajectory:
         return value
 
     def states(self, times_s: Floats) -> tuple[Floats, Floats, Floats]:
-        """Positions, speeds and accelerations at many times within the motion: shape (m, n) each."""
+        """Positions, speeds and accelerations at many times within the motion: (m, n) each."""
         u, (c0, c1, c2, c3) = self._cubics_at(times_s)
         return ((c3 * u + c2) * u + c1) * u + c0, (3 * c3 * u + 2 * c2) * u + c1, 6 * c3 * u + 2 * c2
 
@@ -89,10 +89,10 @@ class JointTrajectory:
         return speed.max(axis=0), acceleration.max(axis=0), np.abs(jerk).max(axis=0)
 
     def span(self) -> tuple[Floats, Floats]:
-        """The lowest and the highest position of each joint anywhere in the motion: (n,) each."""
+        """The lowest and highest position of each joint anywhere in the motion: (n,) each."""
         h = np.diff(self.knots_s)[:, None]
         c0, c1, c2, c3 = self.coefficients
-        # The two moments without speed; where there are none, any moment within the piece does no harm.
+        # The two moments of zero speed; if there are none, any other moment within the piece does no harm.
         root = -(c2 + np.copysign(np.sqrt(np.maximum(c2 * c2 - 3 * c1 * c3, 0.0)), c2))
         with np.errstate(divide="ignore", invalid="ignore"):
             u = np.clip(np.nan_to_num(np.stack([root / (3 * c3), c1 / root])), 0.0, h)
@@ -101,12 +101,12 @@ class JointTrajectory:
         return all_ends.min(axis=0), all_ends.max(axis=0)
 
     def stretched(self, factor: float) -> "JointTrajectory":
-        """The same path, `factor` times as long."""
+        """The same path in `factor` times the duration."""
         scale = (1 / factor) ** np.arange(4)
         return JointTrajectory(self.knots_s * factor, self.coefficients * scale[:, None, None], self.spill_limit_deg)
 
     def reversed(self) -> "JointTrajectory":
-        """The same motion backwards; its speeds change sign, its accelerations do not."""
+        """The same motion backwards: speeds change their sign, accelerations do not."""
         h = np.diff(self.knots_s)[:, None]
         c0, c1, c2, c3 = self.coefficients
         ends = np.stack([c0 + h * (c1 + h * (c2 + h * c3)), -(c1 + h * (2 * c2 + 3 * h * c3)), c2 + 3 * h * c3, -c3])
@@ -115,18 +115,18 @@ class JointTrajectory:
         return JointTrajectory(knots_s, ends[:, ::-1], self.spill_limit_deg)
 
     def begun_at(self, q: Floats) -> "JointTrajectory":
-        """The same motion, moved so that it begins at q (n,)."""
+        """The same motion, shifted to begin at q (n,)."""
         coefficients = self.coefficients.copy()
         coefficients[0] += q - self.start
         return JointTrajectory(self.knots_s, coefficients, self.spill_limit_deg)
 
     def keeping(self, spill_limit_deg: float | None) -> "JointTrajectory":
-        """The same motion, marked with the spill limit it was proven to keep."""
+        """The same motion, marked with the spill limit that it is proven to keep."""
         return JointTrajectory(self.knots_s, self.coefficients, spill_limit_deg)
 
 
 def standing(q: Floats) -> JointTrajectory:
-    """No motion at all: a millisecond at q."""
+    """No motion: a millisecond at q."""
     coefficients = np.zeros((4, 1, len(q)))
     coefficients[0, 0] = q
     return JointTrajectory(np.array([0.0, 1e-3]), coefficients)
@@ -136,7 +136,7 @@ def of_jerk_steps(start: Floats, times_s: Floats, steps: Floats, duration_s: flo
     """From rest at `start` (n,), the motion whose jerk changes by `steps` at `times_s`: (n, k) each."""
     knots_s = np.unique(np.append(times_s[steps != 0], [0.0, duration_s]))
     knots_s = knots_s[(knots_s >= 0) & (knots_s <= duration_s)]
-    # Knots that differ by rounding are one.
+    # Merge knots that differ only by rounding.
     knots_s = np.append(knots_s[:-1][np.diff(knots_s) > _SAME_S], duration_s)
     knots_s[0] = 0.0
     since = np.maximum(knots_s[:-1, None, None] - times_s, 0.0)
@@ -149,14 +149,14 @@ def of_jerk_steps(start: Floats, times_s: Floats, steps: Floats, duration_s: flo
 
 
 def joined(parts: Sequence[JointTrajectory]) -> JointTrajectory:
-    """Motions one after another; each starts where and as fast as the one before it ends."""
+    """Motions one after another; each must start where and as fast as the one before ends."""
     offsets_s = np.cumsum([0.0, *(part.duration_s for part in parts)])
     knots_s = np.concatenate([[0.0], *(part.knots_s[1:] + o for part, o in zip(parts, offsets_s, strict=False))])
     return JointTrajectory(knots_s, np.concatenate([part.coefficients for part in parts], axis=1))
 
 
 def begun_later(motion: JointTrajectory, by_s: float) -> JointTrajectory:
-    """The same motion after so long a rest at its start; none where it is not more than 0."""
+    """The same motion after a rest of `by_s` at its start; unchanged if that is not above 0."""
     if by_s <= _SAME_S:
         return motion
     rest = standing(motion.start)
@@ -164,7 +164,7 @@ def begun_later(motion: JointTrajectory, by_s: float) -> JointTrajectory:
 
 
 def beside(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Two motions at once, as one of all their axes: the shorter is slowed until it lasts as long."""
+    """Two motions at once, as one of all their axes; the shorter is slowed to the same duration."""
     lasts_s = max(first.duration_s, second.duration_s)
     parts = [motion.stretched(lasts_s / motion.duration_s) for motion in (first, second)]
     knots_s = np.union1d(parts[0].knots_s, parts[1].knots_s)
@@ -176,12 +176,12 @@ def beside(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
 
 def through(times_s: Floats, positions: Floats) -> JointTrajectory:
     """The smoothest cubics through samples (m, n) of a motion that begins and ends at rest."""
-    from scipy.interpolate import CubicSpline  # half a second, which not every command has to spend
+    from scipy.interpolate import CubicSpline  # takes half a second to load
 
     spline = CubicSpline(times_s, positions, axis=0, bc_type="clamped")
     return JointTrajectory(times_s, np.ascontiguousarray(spline.c[::-1]))
 
 
 def later(motion: JointTrajectory, begin_s: float) -> Callable[[Floats], Floats]:
-    """Where a motion is, by times counted from one of its moments."""
+    """A motion's positions, as a function of times counted from one of its moments."""
     return lambda times_s: motion.at(begin_s + times_s)

@@ -1,15 +1,15 @@
-"""From rest to rest: the quickest proven motion to any of several goal configurations.
+"""From rest to rest: the quickest proven motion to any of several goal configurations (docs/motion.md).
 
-1. The direct motion to each goal, in the order of its duration: the optimum of its end points.
-2. Unless that is short enough: motions hardly longer than the optimum of some goal, in which every
-   joint moves in its own time (`joint_schedules`).
-3. Where none is found: along a free polyline (`rrt_connect`), through via points that may then move (`via_points`).
+1. Direct motions: the time optimum to each goal, the shortest first.
 
-An empty cone is planned in the joints alone. For a load all of it is done in the joints, where tilting
-is allowed up to the spill limit, and, where nothing is known and that finds nothing, with via points instead of 2, in
-the level coordinates, where it does not happen. How long the search goes on is an `Effort`, counted in iterations;
-where all of it finds nothing it is begun again from other seeds, with twice the budget. What is `AtHand` may end it
-sooner.
+2. Unless one is short enough: joint schedules, hardly longer than the optimum of some goal (`joint_schedules`).
+
+3. If these find none: a free polyline (`rrt_connect`), then via points that may move (`via_points`).
+
+An empty cone is planned only in the joints. A load is planned in the joints too, within part of its spill limit for
+tilt. If nothing is known and that finds nothing, it is planned in level coordinates, with via points instead of 2. An
+`Effort` is a budget in iterations. If the whole search finds nothing, it is repeated with other seeds and twice the
+budget. What is `AtHand` may end it sooner.
 
 Joints [rad] (7,), goals (n, 7), durations [s].
 """
@@ -33,62 +33,65 @@ from scuhand_bt.motion.trajectory import JointTrajectory
 from scuhand_bt.motion.via_points import ViaPointSearch, ViaTrajectory
 
 _LOADED_ROUNDS = 2
-"""Times as many rounds for a load: more schedules tilt it too far, which is soon seen, and other ways are slower."""
+"""Factor on the rounds for a load: more schedules tilt it too far, which is quick to find, and other ways are
+slower."""
 _ITERATIONS = 4000
+"""Iterations of RRT-Connect for an empty cone."""
 _LOADED_ITERATIONS = 120
-"""In each of the two coordinates, where an iteration costs several times as much."""
+"""The same for a load in each of the two coordinates, where an iteration costs several times as much."""
 _LEVELLED, _MOST_LEVELLED, _LOADED_CHANGES = 3, 8, 2
-"""From so many of the empty cone's schedules a load's is tried, with so many times the changes; from more of them
-where none of those can be levelled."""
+"""From how many of the empty cone's schedules a load's is tried; from how many at most if none of these works; and the
+factor on the number of changes."""
 ATTEMPTS = 3
-"""Times that a search which finds nothing is made, each from another seed; after the first with twice the budget."""
+"""How often a search that finds nothing is made, each with another seed; after the first with twice the budget."""
 _LOADED_DIRECTS = 4
-"""Of the goals that are looked at together, to so many a direct motion is proven: a load's costs as much as an edge."""
+"""For how many goals of a batch a load's direct motion is proven, which costs as much as an edge."""
 _SHORTCUTS = 20
+"""Attempts to shorten a polyline."""
 _DETOURS = 12
-"""Batches of random via points that are looked at before a start is given up."""
+"""Batches of random via points that are tried for a start."""
 _STRIDE = 4
-"""Neighbours on the elbow's circle are much alike: of the goal's configurations every fourth is looked at first."""
+"""Every fourth of a goal's configurations is tried first, as neighbours on the elbow's circle are much alike."""
 _GOALS_AT_ONCE = 16
-"""So many of them at once, from the nearest on."""
+"""How many of them are tested at once, from the nearest on."""
 _MOST_GOALS = 64
-"""So many free ones are enough: a pose whose yaw is free has hundreds."""
+"""So many free ones suffice; a pose with a free yaw has hundreds."""
 _ROOTS = 32
-"""So many of the nearest goals are looked for by via points and trees."""
+"""How many of the nearest goals are used by via points and trees."""
 _NEAREST = 24
-"""And so many by schedules."""
+"""How many are used by schedules."""
 _LEAST_LEAN_DEG = 12.0
-"""Below this much tilt, planning in the joints finds nothing that the level coordinates do not."""
+"""With less tilt than this, planning in the joints finds nothing that level coordinates do not."""
 _TILT_SHARE = 0.8
-"""Of the spill limit, what a polyline may use for tilt; the rest is for acceleration."""
+"""The share of the spill limit that a polyline may use for tilt; the rest is for acceleration."""
 
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """Budgets: rounds of schedules; in the level coordinates starts with one via point, and rounds for each."""
+    """Budgets: rounds of schedules; in level coordinates, starts with one via point, and rounds for each."""
 
     schedule_rounds: int
     via_starts: int
     via_rounds: int
     idle_rounds: int
-    """So many rounds in a row that find nothing quicker end a search that has found something."""
+    """A search that has found something ends after so many rounds in a row without anything quicker."""
     near_optimum: float
-    """A direct motion within this of the best goal's bound is not worth a search."""
+    """A direct motion within this factor of the best goal's bound is taken without a search."""
     good_enough: float
-    """Nor is any motion within this."""
+    """Any motion within this factor ends the search."""
     changes: int = 0
-    """So many steps downhill are taken from the best schedule of a search."""
+    """How many steps of `schedule_descent` improve the best schedule of a search."""
     starts: int = 1
-    """So many searches of schedules are made."""
+    """How many searches of schedules are made."""
     is_brief: bool = False
-    """Whether a load's way that no schedule finds is given up: most that there are are found by one, and that there is
-    none costs hundreds of times as much to see."""
+    """Give up a load's way that no schedule finds. Most existing ways are found by one, and showing that there is none
+    costs hundreds of times as much."""
 
 
 LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=7, near_optimum=1.66, good_enough=1.07)
 BRIEF = replace(LIVE, is_brief=True)
 PREPARED = replace(LIVE, schedule_rounds=100, via_rounds=40, idle_rounds=100, changes=20, starts=2)
-"""Of loads between places, which are planned before the arm waits for them."""
+"""For loads between places, which are planned before the arm waits for them."""
 POLISHED = Effort(
     schedule_rounds=60,
     via_starts=2,
@@ -103,14 +106,14 @@ POLISHED = Effort(
 
 @dataclass(frozen=True, slots=True)
 class Goals:
-    """A goal's configurations (n, 7) in the order they are looked at: some that are free, and those not looked at."""
+    """A goal's configurations (n, 7) in the order of testing: some that are free, and those not tested yet."""
 
     free: Floats
     more: Floats
 
     @classmethod
     def ranked(cls, q: Floats, start: Floats, rates: RateLimits, scene: Scene) -> "Goals":
-        """From all configurations of a goal; none is free only where none of `q` is."""
+        """From all configurations of a goal. `free` is empty only if none of `q` is free."""
         nearest = np.argsort(rest_to_rest_s(q - start, rates), kind="stable")
         free, more = q[:0], q[np.concatenate([nearest[k::_STRIDE] for k in range(_STRIDE)])]
         while len(more) and not len(free):
@@ -121,7 +124,7 @@ class Goals:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is to be planned: where from, where to, in which scene, how fast, with what in the cone."""
+    """What to plan: from where, to where, in which scene, at which rates, with what in the cone."""
 
     start: Floats
     goals: Goals
@@ -130,11 +133,13 @@ class Task:
     mount: Mount
     spill_limit_deg: float | None = None
     pose: ApexPose | None = None
-    """Whose configurations the goals are, some of them; None where there are no others."""
+    """The pose to which the goals belong, which has more configurations; None if there are no others."""
 
     @property
     def leans(self) -> bool:
-        """Whether there is a load that may lean: where it hardly may, a motion is level, as others are to be slowed."""
+        """Whether there is a load with a worthwhile tilt limit. With less, motions are level or slowed ones of
+        others.
+        """
         return self.spill_limit_deg is not None and _TILT_SHARE * self.spill_limit_deg > _LEAST_LEAN_DEG
 
     def bounds_s(self, goals: Floats) -> Floats:
@@ -142,7 +147,7 @@ class Task:
         return rest_to_rest_s(goals - self.start, self.rates)
 
     def free_goals(self, upto_s: float) -> Iterator[Floats]:
-        """The goals that are free, a few at a time; looked at when they are asked for."""
+        """The free goals, a few at a time; they are tested only when asked for."""
         yield self.goals.free
         near = self.goals.more[self.bounds_s(self.goals.more) <= upto_s]
         count = len(self.goals.free)
@@ -155,12 +160,12 @@ class Task:
             yield free
 
     def spaces(self) -> list[Space]:
-        """The spaces to plan in, each in its coordinates; the one whose motions are quicker first."""
+        """The spaces to plan in, each with its coordinates; the one with quicker motions first."""
         if self.spill_limit_deg is None:
             return [Space(JointCoordinates(self.rates, self.mount.limits_rad), self.scene, self.mount)]
         level = level_coordinates(self.rates, self.mount, self.start)
         tilt_deg = _TILT_SHARE * self.spill_limit_deg
-        # Between two axes that lean little enough a straight line of the level coordinates leans no more.
+        # A straight line of level coordinates leans no more than its ends do.
         covered = bool(level.covers(self.start[None, :])[0])
         spaces = [Space(level, self.scene, self.mount)] if covered else []
         if tilt_deg > _LEAST_LEAN_DEG or not covered:
@@ -174,28 +179,28 @@ class AtHand:
     """What is known before a search."""
 
     motion: JointTrajectory | None = None
-    """Keeps the task's limits: what comes is never slower."""
+    """A motion that keeps the task's limits; the result is never slower."""
     least_s: float = 0.0
-    """What takes less than this is of no use."""
+    """A motion that takes less than this has no advantage."""
     enough_s: float = 0.0
-    """What takes no more than this is not improved on."""
+    """A motion that takes no longer than this is not improved on."""
     will_do: bool = False
-    """Whether another motion will, if nothing is found: the search is made once, and not begun again."""
+    """Whether another motion will do if nothing is found: the search is then made only once."""
     attempts: int = ATTEMPTS
     """How often it is made otherwise."""
     is_quick: bool = False
-    """Whether only direct motions and schedules of the joints are looked for, once."""
+    """Search only direct motions and joint schedules, once."""
     patience: Patience = field(default_factory=Patience)
 
     def ends(self, best: JointTrajectory | None) -> bool:
-        """Whether there is no more time for a search that has found this."""
+        """Whether time is up for a search that has found this."""
         return self.patience.ends(self.will_do or best is not None)
 
 
 def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> JointTrajectory | None:
-    """The quickest proven motion found within the effort, or None; the seed decides the search."""
+    """The quickest proven motion found within the effort, or None. The seed determines the search."""
     known = known or AtHand()
-    # What is known for a stricter limit is level mostly: where tilting is allowed, it is what may be quicker.
+    # A motion known for a stricter limit is mostly level. Only the space that allows tilt may have a quicker one.
     spaces = task.spaces() if known.motion is None and not known.is_quick else task.spaces()[:1]
     searches = [_Search(task, space, effort, known) for space in spaces]
     bound_s = float(task.bounds_s(task.goals.free[:1])[0])
@@ -203,7 +208,7 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
     if known.is_quick and known.enough_s:
         near_s = good_s = known.enough_s
     best = known.motion
-    # A load's motion is so much longer than the bound that a far goal may be as good as a near one.
+    # A load's motion is so much longer than the bound that any goal may be the best.
     for goals in task.free_goals(near_s if task.spill_limit_deg is None else np.inf):
         upto_s = near_s if best is None else min(near_s, best.duration_s)
         best = _quickest([best, *(search.direct(goals, upto_s) for search in searches)])
@@ -217,7 +222,7 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
             return best
     searches = [search for search in searches if len(search.ends)]
     if known.is_quick:
-        # Not begun from a direct motion, which may be so slow that improving on it stands still.
+        # Not started from a direct motion, which may be too slow to be improved on.
         return _quickest([best, *(one.quicker_than(None, np.random.default_rng(seed), good_s) for one in searches)])
     if effort.is_brief and task.spill_limit_deg is not None:
         return best
@@ -236,7 +241,10 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
 
 
 def _levelled(task: Task, effort: Effort, seed: int, known: AtHand, good_s: float) -> JointTrajectory | None:
-    """A load's motion downhill from the empty cone's schedules, which tilt it: they are quick and easily found."""
+    """A load's motion, found by `schedule_descent` from the empty cone's schedules.
+
+    These are quick and easily found, but tilt the load too far; the linear programs correct that.
+    """
     empty = replace(task, spill_limit_deg=None)
     space, best = empty.spaces()[0], known.motion
     prover = Prover(space, task.rates, task.mount, task.spill_limit_deg)
@@ -260,7 +268,7 @@ def _quickest(motions: Iterable[JointTrajectory | None]) -> JointTrajectory | No
 
 
 class _Search:
-    """The ways to find a motion, in one space; goals are added in the order of their bounds."""
+    """The ways to find a motion in one space; goals are added in the order of their bounds."""
 
     def __init__(self, task: Task, space: Space, effort: Effort, known: AtHand) -> None:
         self._task, self._space, self._effort, self._known = task, space, effort, known
@@ -271,7 +279,7 @@ class _Search:
         self.ends, self._bounds_s = np.empty((0, len(self._start))), np.empty(0)
 
     def add(self, goals: Floats) -> tuple[Floats, Floats]:
-        """Adds goals (n, 7); those that these coordinates hold, and their bounds."""
+        """Add goals (n, 7). Returns those that these coordinates cover, and their bounds."""
         reached = goals[self._space.coordinates.covers(goals)]
         ends, bounds_s = self._space.coordinates.of(reached), self._task.bounds_s(reached)
         self._bounds_s = np.concatenate([self._bounds_s, bounds_s])
@@ -280,7 +288,7 @@ class _Search:
         return ends, bounds_s
 
     def direct(self, goals: Floats, upto_s: float) -> JointTrajectory | None:
-        """Adds goals (n, 7), in the order of their bounds; the first direct motion to one of them that is proven.
+        """Add goals (n, 7), in the order of their bounds; returns the first proven direct motion to one of them.
 
         Only those that may be as short as `upto_s` are tried.
         """
@@ -294,12 +302,12 @@ class _Search:
     def quicker_than(
         self, known: JointTrajectory | None, rng: np.random.Generator, good_s: float
     ) -> JointTrajectory | None:
-        """Something quicker than what is known; or that, or None."""
+        """Something quicker than `known`; else `known`."""
         if not isinstance(self._space.coordinates, JointCoordinates):
             return _quickest([known, self._by_detours(rng)])
         effort, task, best = self._effort, self._task, known
         for start in range(effort.starts):
-            # Begun anew, a search ends elsewhere.
+            # A new search may end in another local optimum.
             found = self.schedules(None if start else known, rng, good_s)
             best = _quickest([best, found.motion])
             if best is not None and (best.duration_s <= good_s or self._known.ends(best)):
@@ -310,7 +318,7 @@ class _Search:
         return best
 
     def schedules(self, known: JointTrajectory | None, rng: np.random.Generator, good_s: float) -> ScheduleSearch:
-        """A search of schedules that is done."""
+        """A completed search of schedules."""
         ends, bounds_s, coordinates = self.ends[:_NEAREST], self._bounds_s[:_NEAREST], self._space.coordinates
         level = coordinates.level if isinstance(coordinates, JointCoordinates) else None
         search = ScheduleSearch(self._prover, self._task.rates, self._start, ends, bounds_s, level)
@@ -332,7 +340,7 @@ class _Search:
         return _quickest(found)
 
     def by_rrt_connect(self, rng: np.random.Generator, budget: int) -> JointTrajectory | None:
-        """The motion along a free polyline, for ways that nothing else opens, in `budget` times the iterations."""
+        """The motion along a free polyline, in `budget` times the iterations."""
         iterations = budget * (_LOADED_ITERATIONS if self._loaded else _ITERATIONS)
         path = connect(self._space, self._start, self.ends[:_ROOTS], rng, iterations, lambda: self._known.ends(None))
         if path is None:

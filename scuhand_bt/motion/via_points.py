@@ -1,11 +1,11 @@
-"""Through via points: a piecewise time-optimal motion whose via points and speeds there may move.
+"""Motions through via points: piecewise time-optimal, with via points and speeds that may move.
 
     minimise   sum_k T(p_k, v_k; p_{k+1}, v_{k+1})        over via points p_k and the speeds v_k there
 
-T is the jerk-limited optimum between two states (`timelaw`), each solved in microseconds; the whole
-motion is then *proven* (`proof`). It begins as a free polyline, or with one random via point, and is not
-bound to that: it is shortened by a random search that proposes many changes, ranks them by duration,
-proves only those that would be quicker, widens its steps after a success and narrows them after a failure.
+T is the jerk-limited optimum between two states (`timelaw`), solved in microseconds; the whole motion is then *proven*
+(`proof`). It starts from a free polyline, or from one random via point, and is not bound to that. A random search
+shortens it: it proposes many changes, ranks them by duration, and proves only those that would be quicker. Steps widen
+after a success and narrow after a failure.
 
 Planning coordinates (m, 7), times [s].
 """
@@ -21,21 +21,22 @@ from scuhand_bt.motion.timelaw import cubics, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory
 
 _FIRST_SPEEDS = (1.6, 1.2, 0.8, 0.4)
-"""Over the mean speed of the two legs, at the polyline's vertices: what is tried first, one after another."""
+"""Speeds at the polyline's vertices that are tried in turn, relative to the mean speed of the two legs."""
 _DETOUR_SPEED = 1.2
 _PROPOSALS = 16
 _PROVEN_PER_ROUND = 3
 _FIRST_SPREAD = 0.2
 _SPEED_PER_RAD = 3.0
-"""How much a via's speed is varied [rad/s] where its position is varied by 1 rad."""
+"""Variation of a via point's speed [rad/s] relative to that of its position [rad]."""
 _FASTEST = 0.98
+"""Largest speed at a via point, relative to the limit."""
 _DETOURS = 64
 _DETOUR_SPREAD = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class ViaTrajectory:
-    """Via points and the speeds there (m, 7), ends included, and the proven motion through them."""
+    """Via points and their speeds (m, 7), ends included, and the proven motion through them."""
 
     points: Floats
     speeds: Floats
@@ -51,7 +52,7 @@ class ViaPointSearch:
         self._law = prover.law
 
     def through_polyline(self, path: Floats) -> ViaTrajectory | None:
-        """A motion through a free polyline's vertices (m, 7), as quick as a few guesses of its speeds find."""
+        """A motion through a free polyline's vertices (m, 7), as quick as a few guesses of the speeds allow."""
         for scale in _FIRST_SPEEDS:
             found = self._first_proven([(path, self._passing_speeds(path, scale))])
             if found is not None:
@@ -62,8 +63,8 @@ class ViaPointSearch:
     def detour(self, start: Floats, goals: Floats, rng: np.random.Generator) -> ViaTrajectory | None:
         """The quickest motion found through one random via point near a line to one of the goals (n, 7).
 
-        Most obstacles need no more than one via point, and looking at many at once is cheap: the via
-        points themselves, then a glance along both legs, then the few quickest motions are proven.
+        Most obstacles need only one via point, and testing many at once is cheap: first the via points themselves,
+        then a glance along both legs, then a proof of the few quickest motions.
         """
         limits = self._space.coordinates.rates
         ends = goals[rng.integers(len(goals), size=_DETOURS)]
@@ -91,9 +92,9 @@ class ViaPointSearch:
         idle_rounds: int,
         ends: Callable[[JointTrajectory | None], bool],
     ) -> ViaTrajectory:
-        """A quicker motion to any of the goals (n, 7), after at most `rounds` of proposals, so many of them idle.
+        """A quicker motion to any of the goals (n, 7), after `rounds` at most, or `idle_rounds` without improvement.
 
-        Sooner where `ends` says so, which is asked with the best so far.
+        It ends sooner if `ends` says so, which is asked with the best motion so far.
         """
         spread, idle = _FIRST_SPREAD, 0
         for _ in range(rounds):
@@ -107,7 +108,7 @@ class ViaPointSearch:
     def _first_proven(
         self, candidates: Iterable[tuple[Floats, Floats]], quicker_than_s: float = np.inf
     ) -> ViaTrajectory | None:
-        """Of candidate points and speeds (m, 7) the quickest that is proven; only the few quickest are tried."""
+        """The quickest of the candidate points and speeds (m, 7) that is proven; only the few quickest are tried."""
         solved = [(points, speeds, self._law.pieces(points, speeds)) for points, speeds in candidates]
         timed = [
             (sum(piece.duration for piece in pieces), points, speeds, pieces)
@@ -124,7 +125,7 @@ class ViaPointSearch:
         return None
 
     def _passing_speeds(self, points: Floats, scale: float) -> Floats:
-        """Speeds at a polyline's vertices: towards the one after next, rest at both ends."""
+        """Speeds at a polyline's vertices: along the chord between the neighbours, zero at both ends."""
         legs_s = rest_to_rest_s(np.diff(points, axis=0), self._space.coordinates.rates)
         speeds = np.zeros_like(points)
         speeds[1:-1] = scale * (points[2:] - points[:-2]) / (legs_s[1:] + legs_s[:-1])[:, None]
@@ -137,7 +138,7 @@ class ViaPointSearch:
     def _proposals(
         self, found: ViaTrajectory, goals: Floats, spread: float, rng: np.random.Generator
     ) -> Iterator[tuple[Floats, Floats]]:
-        """Points and speeds near those found: one via left out; one or all moved; now and then another goal."""
+        """Changes of a motion: one via point dropped; one or all moved; now and then another goal."""
         vias = len(found.points) - 2
         if vias > 1:
             dropped = int(rng.integers(1, vias + 1))

@@ -1,13 +1,13 @@
-"""Out of what the arm touches where it stands: slowly, in the direction in which that becomes less.
+"""Moves the arm slowly out of what it touches (docs/motion.md, "Out of a collision").
 
-A start that is hit, in the model, has no proven motion. But where it is hit by little, as where the arm has sunk or was
-pushed, the way out is where the signed distance d(q) of what it touches grows most for what anything moves:
+A start that is hit, in the model, has no proven motion. If the overlap is small, as after the arm has sunk or was
+pushed, the way out is the direction in which the signed distance d(q) grows most for the motion of any point:
 
     dq_j  ~  (dd/dq_j) / rho_j^2,      sum_j rho_j |dq_j| = 0.5 mm        (rho: `swept_bound`)
 
-step by step, until nothing is nearer than 2 mm. The motion through these steps is then looked at as closely: what was
-touched overlaps less and less, and whatever was free at the start keeps the 2 mm that it had, or does not come nearer,
-so that nothing that was free is touched in between either. No point of the arm moves faster than 10 mm/s.
+step by step, until nothing is nearer than 2 mm. The motion through these steps is then checked just as densely. What
+was touched must never overlap more. What was free must keep 2 mm, or the smaller distance that it had, so nothing free
+is touched in between either. No point of the arm moves faster than 10 mm/s.
 
 Configurations [rad] (n,), distances [m], times [s].
 """
@@ -26,26 +26,26 @@ from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory, through
 
 CLEAR_M = 0.002
-"""Where the way out ends; the planner's least margin is half of it."""
+"""Clearance at the end of the way out: twice the planner's least margin."""
 DEEPEST_M = 0.03
-"""What overlaps by more is no touch: the cell is not as the model has it, and no direction is known to be out."""
+"""With a deeper overlap the cell is not as modelled, and no direction is known to lead out."""
 SPEED_M_PER_S = 0.01
 """The fastest that any point of the arm moves."""
 _STEP_M = 0.0005
 _MOST_STEPS = 160
 _TURN_RAD = 1e-4
-"""By which the distances' derivatives are found."""
+"""Step of finite differences of the distances."""
 _ROUNDING_M = 2e-5
 _GRID_S = 0.05
 _PEAK = 1.875
-"""Of s(x) = 10 x^3 - 15 x^4 + 6 x^5, its greatest slope."""
+"""Largest slope of s(x) = 10 x^3 - 15 x^4 + 6 x^5."""
 
 
 BY_HAND = "hold the arm, switch its supply off and on, lead it clear by hand, and resume"
 
 
 class _NoWayOutError(Exception):
-    """Why there is none, in words."""
+    """Why there is no way out, as text."""
 
 
 def way_out(
@@ -56,10 +56,10 @@ def way_out(
     kept_in: Collection[str],
     spill_limit_deg: float | None,
 ) -> JointTrajectory:
-    """From a configuration that is hit to one that is not, from rest to rest; a load is kept within its spill angle.
+    """From a configuration that is hit to one that is not, rest to rest; a load is kept within its spill angle.
 
-    SkillFailed arm.start_in_collision where there is none, or where it touches one of those that are not left so
-    (`kept_in`, the names of bodies).
+    Raises SkillFailed arm.start_in_collision if there is no way, or if it touches a body in `kept_in`, which must not
+    be left like this.
     """
     try:
         motion = _out(scene, begin, rates, scene.touched(begin) & set(kept_in))
@@ -109,7 +109,9 @@ def _steps(scene: Scene, begin: Floats, began_m: Floats) -> list[Floats]:
 
 
 def _directions(scene: Scene, q: Floats, now_m: Floats) -> Iterator[Floats]:
-    """In which the nearest of all gets farther, and those in which all that are too near do; for a metre of motion."""
+    """Steps per metre of motion: one increases the smallest distance, the others those of all pairs that are too
+    near.
+    """
     reach_m = scene.bound.reach_m
     turnable = reach_m > 0
     turns = _TURN_RAD * np.eye(len(q))[turnable]
@@ -129,14 +131,16 @@ def _directions(scene: Scene, q: Floats, now_m: Floats) -> Iterator[Floats]:
 
 
 def _gets_freer(began_m: Floats, now_m: Floats, after_m: Floats) -> bool:
-    """Whether what was too near at the start overlaps no more than before, and all else keeps what it had."""
+    """Whether pairs that were too near at the start overlap no more than before, and all others keep their
+    clearance.
+    """
     was_near = began_m < CLEAR_M
     kept_m = np.where(was_near, np.minimum(now_m, CLEAR_M), CLEAR_M) - _ROUNDING_M
     return bool((after_m >= kept_m).all())
 
 
 def _slowly(scene: Scene, path: Floats) -> JointTrajectory:
-    """Along the steps (m, n), beginning and ending gently."""
+    """Along the steps (m, n), starting and ending gently."""
     along_m = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)) @ scene.bound.reach_m)])
     duration_s = max(_PEAK * along_m[-1] / SPEED_M_PER_S, 4 * _GRID_S)
     times_s = np.linspace(0.0, duration_s, int(duration_s / _GRID_S) + 2)
@@ -146,7 +150,7 @@ def _slowly(scene: Scene, path: Floats) -> JointTrajectory:
 
 
 def _require_out(scene: Scene, motion: JointTrajectory) -> None:
-    """The motion itself, looked at so closely that no point passes its samples by more than a quarter of a step."""
+    """Check the motion so densely that no point passes its samples by more than a quarter of a step."""
     count = 2 + int(2 * SPEED_M_PER_S * motion.duration_s / _STEP_M)
     samples = motion.at(np.linspace(0.0, motion.duration_s, count))
     began_m = now_m = scene.distances_m(samples[0])
