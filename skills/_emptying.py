@@ -12,13 +12,16 @@ from scuhand_bt.skill import Cell, Code, Discarded, Returned, SkillFailed, Sourc
 from ._opening import open_to_let_out
 
 SHAKE_S = 3.0
+"""Least time that a cone is shaken out, whatever it holds."""
 SPARE = 2.0
 """Safety factor on the time that the learnt flow needs, as flow differs from load to load."""
 DOUBT = 0.2
 """Share of the load limit by which the cone may hold more than believed: scoops vary."""
 LONGEST_S = 300.0
+"""And the longest."""
 LEAVING_MM_PER_S = 60.0
 LEAVING_TURNS_DEG = (0.0, 20.0, -20.0, 45.0, -45.0, 75.0, -75.0, 110.0, -110.0)
+"""Turns of the cone about its own axis that are tried on the way out of a mortar."""
 POURED_FROM_MM = 30.0
 """Height of the lip above the edge while the cone is poured out."""
 POURING_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
@@ -100,7 +103,7 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     held_mg = believed.cone_mg
     most_mg = min(source.powder.load_limit_mg, held_mg + believed.sources_mg[source.name])
     believed.source_holds(source.name, held_mg + believed.sources_mg[source.name] - most_mg)
-    # a run that stops from here on knows of a loaded cone, and makes no powder from nothing
+    # A run that stops from here on knows of a loaded cone, and makes no powder from nothing.
     believed.cone_holds(source, most_mg)
     yield from empty_cone(cell, source)
     believed.returned(source.name, most_mg)
@@ -117,7 +120,7 @@ def _ways_up(cell: Cell, source: Source) -> list[list[ApexPose]]:
     now, place = cell.apex(), cell.place(source.station)
     assert now.seam is not None
     top_m = now.position_m.copy()
-    # the rim hangs no lower than this below the apex
+    # The rim hangs no lower than this below the apex.
     hangs_mm = cell.spec.hand.sheet_radius_mm * math.sqrt(max(0.0, 1.0 - now.axis[2] ** 2))
     top_m[2] = max(top_m[2], (cell.places_mm[source.station][2] + hangs_mm) / 1000)
     seams = [Rotation.from_rotvec(math.radians(deg) * now.axis).apply(now.seam) for deg in LEAVING_TURNS_DEG]
@@ -149,7 +152,7 @@ def slides_out(cell: Cell, source: Source) -> bool:
 
 
 def vessel_for(cell: Cell, source: Source) -> str | None:
-    """The station that leftovers of a source are discarded at; None where they are kept."""
+    """The station that leftovers of a source are discarded at; None where they are not."""
     if not source.is_discarded:
         return None
     return source.leftover_to or cell.spec.station_of_kind("waste").name

@@ -108,7 +108,7 @@ class PlaceContainer(Skill[None]):
         if not cell.changer.needs_person and not cell.spec.changer.takes(kind := self.container.name):
             raise SkillFailed(Code.CONTAINER_MISSING, f"the changer has no slot for a container of the kind {kind}")
         bare = yield from take_container_away(cell, self.container)
-        # the container that just went may be this one, and its weight may have shown that it was changed
+        # The container that just went may be this one, and its weight may have shown that it was changed.
         self._require_known(cell)
         if (short := self._short_of(cell)) is not None:
             yield from self._fill(cell, short)

@@ -85,6 +85,7 @@ class Scoop(Skill[Milligrams]):
     def run(self, cell: Cell) -> Steps[Milligrams]:
         source, believed = self.source, cell.believed
         yield from out_of_mortar(cell)
+        # A poor or bridged load is put away in any case, even if the sheet is refused below.
         if believed.is_load_doubted and believed.cone_source is not None:
             yield from put_away(cell)
         self._require_clean(cell)
@@ -95,7 +96,7 @@ class Scoop(Skill[Milligrams]):
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
-        believed.touched(source)
+        believed.touched(source)  # before the cone goes in: a scoop halted there is then known to be in this powder
         bed = self._bed(cell)
         stroke, motion = yield from cell.planned(lambda: self._planned(cell, self._candidates(cell, bed, in_mortar_mg)))
         open_mm = yield from cell.make_stroke(motion, source.station)

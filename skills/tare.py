@@ -7,7 +7,7 @@ from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, 
 STILL_DIGITS = 2.0
 """A container at rest changes by no more than this many digits from one weighing to the next."""
 AT_ONCE_READINGS = 2.0
-"""A weighing no more than this many balance periods old is used again."""
+"""A weighing younger than this many balance periods is used again."""
 
 
 class Tare(Skill[Milligrams]):

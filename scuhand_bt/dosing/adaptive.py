@@ -141,7 +141,7 @@ class Adaptive:
         """Learn from an opening and its look; returns whether next to nothing came, by the flow seen in this dose."""
         known = self._known
         gained_mg = known.bank.mass_mg - known.begin_mg
-        # an all but empty cone must bring powder while it is open: else a fresh load is sooner
+        # An all but empty cone must bring powder while it is open: else a fresh load is sooner.
         if self._given_up != "empty":
             self._note_gain(CAME_SHARE * CAME_MG if known.room_mg > FAR_MG else COMES_MG)
         phi_s = sum(row.phi_s for row in known.rows)

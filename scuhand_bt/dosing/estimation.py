@@ -115,7 +115,7 @@ class Bank:
         p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
         many = len(self.weights)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
-        # of the last row each has seen, as `take_in` has it
+        # Of the last row each has seen, as `take_in` has it
         self._phi, self._seen = np.zeros(many), np.zeros(many, np.int64)
         self._unseen = np.zeros((many, 2))  # integrals of phi and of its slope
         self._means = [0.0, 0.0]
