@@ -60,8 +60,8 @@ def is_over(cell: Cell, source: Source) -> bool:
 
 def out_of_mortar(cell: Cell) -> Steps[None]:
     """Leave the mortar in which an earlier scoop was halted, as by a `timeout`, before anything else is done."""
-    for source in cell.sources.values():
-        if source.sheet_key == cell.believed.sheet and is_over(cell, source) and _dips_into(cell, source):
+    for source in under_the_cone(cell):
+        if _dips_into(cell, source):
             yield from leave_mortar(cell, source)
             return
 
@@ -75,11 +75,18 @@ def _dips_into(cell: Cell, source: Source) -> bool:
     return cell.apex_mm()[2] + min(0.0, lip_mm) < edge_mm
 
 
-def aside_mm(cell: Cell, source: Source) -> float:
-    """Horizontal distance in mm from the middle of the cone's mouth to the middle of this source's mortar.
+def under_the_cone(cell: Cell) -> list[Source]:
+    """Sources whose mortar the cone is in or above, nearest first, of the lot that the sheet has touched.
 
-    A stroke keeps the mouth over its own mortar, so the nearest one is that of a halted scoop.
+    A scoop notes its lot before it goes in, and a stroke keeps the cone's mouth over its own mortar. So of mortars side
+    by side the first one is that of a halted scoop.
     """
+    over = [one for one in cell.sources.values() if one.sheet_key == cell.believed.sheet and is_over(cell, one)]
+    return sorted(over, key=lambda source: _aside_mm(cell, source))
+
+
+def _aside_mm(cell: Cell, source: Source) -> float:
+    """Horizontal distance in mm from the middle of the cone's mouth to the middle of this source's mortar."""
     apex, rim_mm, slant_mm = cell.apex(), cell.hand.cone_diameter_mm, cell.spec.hand.sheet_radius_mm
     mouth_mm = 1000.0 * apex.position_m + math.sqrt(slant_mm**2 - (rim_mm / 2) ** 2) * apex.axis
     return math.dist(mouth_mm[:2].tolist(), cell.places_mm[source.station][:2])

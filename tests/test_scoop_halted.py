@@ -69,15 +69,21 @@ def test_what_empties_or_fills_a_cone_brings_it_out_of_the_mortar_that_its_scoop
     assert bench.world.masses_mg["spilled"] == 0.0
 
 
-def test_of_mortars_side_by_side_the_cone_is_withdrawn_from_the_one_that_it_was_halted_in(starter: Lab) -> None:
-    """Where its apex is behind the powder it is nearer to the other one, whose lot the sheet has not touched."""
+@pytest.mark.parametrize(
+    ("skill", "is_same_lot", "halted_s"), [("withdraw", False, 2.0), ("withdraw", True, 2.6), ("discard", True, 2.6)]
+)
+def test_of_mortars_side_by_side_the_cone_is_withdrawn_from_the_one_that_it_was_halted_in(
+    starter: Lab, skill: str, is_same_lot: bool, halted_s: float
+) -> None:
+    """Where its apex is behind the powder it is nearer to the other one."""
     stations = starter.cell.stations
     beside = stations["mortar_bay_2"].model_copy(update={"position_mm": (200.0, 345.0, 0.0)})
     lab = replace(starter, cell=starter.cell.model_copy(update={"stations": {**stations, "mortar_bay_2": beside}}))
     of = {"mortar_bay": lab.library.mortars["agate_mortar"], "mortar_bay_2": lab.library.mortars["small_agate_mortar"]}
     planner = lab.motion_planner(of)
     bench, source = scooping_bench(lab, planner)
-    other = source.model_copy(update={"name": "a", "lot": "2", "station": "mortar_bay_2", "mortar": of["mortar_bay_2"]})
+    lot = source.lot if is_same_lot else "2"
+    other = source.model_copy(update={"name": "a", "lot": lot, "station": "mortar_bay_2", "mortar": of["mortar_bay_2"]})
     bench = Bench(lab, planner, {"a": other, "beads": source})
     cell = bench.cell
     for name in ("a", "beads"):
@@ -86,10 +92,13 @@ def test_of_mortars_side_by_side_the_cone_is_withdrawn_from_the_one_that_it_was_
     for name, position_mm in cell.places_mm.items():
         planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
     cell.strokes_made["beads"] = first_headings_deg(lab, "mortar_bay", 3)
-    halt_scoop(bench, lab, source, 2.0)
-    bench.do(lab.library.skills["withdraw"]().run(cell))
+    halt_scoop(bench, lab, source, halted_s)
+    out = lab.library.skills[skill]
+    bench.do(out(**({"source": source} if "source" in out.model_fields else {})).run(cell))
     assert cell.believed.sheet == source.sheet_key
-    assert math.dist(cell.apex_mm()[:2], cell.places_mm["mortar_bay"][:2]) < 5.0
+    assert cell.believed.sources_mg["a"] == 20_000.0
+    if skill == "withdraw":
+        assert math.dist(cell.apex_mm()[:2], cell.places_mm["mortar_bay"][:2]) < 5.0
     assert bench.world.masses_mg["source:a"] == 20_000.0
     assert bench.world.masses_mg["returned"] == bench.world.masses_mg["spilled"] == 0.0
 
