@@ -1,1 +1,1 @@
-"""The simulated cell: a world whose mass is conserved, the devices in it, and a replaceable physics."""
+"""The simulated cell: a world that conserves mass, the simulated devices in it, and physics that can be replaced."""

@@ -1,4 +1,4 @@
-"""The simulated arm: it is where its trajectory, or the stop of that, says, at every moment."""
+"""The simulated arm: it follows its trajectory, or the stop of that trajectory, exactly."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -18,12 +18,12 @@ SHUT_DOWN = {
     "arm.lost": (Code.DEVICE_LOST, "the servo bus does not answer; check its cable and supply"),
     "arm.no_power": (Code.ARM_LIMP, "no servo answers any more: they have no supply, or the line is broken"),
 }
-"""The faults that stop the arm, and how they show."""
+"""The faults that stop the arm, and the failure that each of them raises."""
 BLOCKED = "servo.not_following"
 
 
 class Pose(Protocol):
-    """Where the apex is [m], shape (3,), and the cone's up axis, shape (3,)."""
+    """The apex's position [m], (3,), and the cone's axis, (3,), a unit vector from the apex out of the mouth."""
 
     @property
     def position_m(self) -> Floats: ...
@@ -35,7 +35,7 @@ class Pose(Protocol):
 class SimulatedArm:
     """The joints; see `scuhand_bt.devices.interfaces.Arm`.
 
-    `mount` tells how the hand holds its cone now: the same object for as long as that is the same.
+    `mount` returns how the hand holds its cone now. It returns the same object until that changes.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class SimulatedArm:
         self.news = Signal()
         self.on_start: Callable[[Trajectory], None] = lambda trajectory: None
         self.faults = Faults()
-        """What is wrong with it, in a simulation of faults."""
+        """Its active faults; the world replaces it by its own."""
         self.was_limp = False
         self._is_blocked = self._was_faulty = False
         self._clock = clock
@@ -65,7 +65,7 @@ class SimulatedArm:
 
     @property
     def fault(self) -> SkillFailed | None:
-        """What is wrong with it now."""
+        """Its present fault; None if it is sound."""
         active = self.faults.active
         if not active:
             return None
@@ -106,7 +106,7 @@ class SimulatedArm:
         return self._trajectory is not None
 
     def advance(self, end_s: float) -> None:
-        """Go on to this time; the end of the motion is told."""
+        """Advance to this time; fires `news` at the end of the motion."""
         if self.faults.active or self._was_faulty:
             self._apply_faults(end_s)
         if self._trajectory is not None and end_s >= self._end_s - 1e-9:
@@ -114,7 +114,7 @@ class SimulatedArm:
             self.news.fire()
 
     def _apply_faults(self, now_s: float) -> None:
-        """Stand still where a fault has stopped it, and tell of its coming and going."""
+        """Stand still where a fault has stopped it; fire `news` when a fault begins or ends."""
         active = self.faults.active
         self._is_blocked = BLOCKED in active and (self._is_blocked or self._trajectory is not None)
         if (fault := self.fault) is not None and self._trajectory is not None:
@@ -124,23 +124,23 @@ class SimulatedArm:
             self.news.fire()
 
     def held_at(self, time_s: float) -> list[float]:
-        """Where the joints [rad] would be held if its servos heard nothing more from this time on."""
+        """The joints [rad] at which it would stop if its servos received nothing more from this time on."""
         joints: list[float] = self._at(time_s).tolist()
         return joints
 
     def hold(self, joints: Sequence[float]) -> None:
-        """Stand still there."""
+        """Stand still at these joints [rad]."""
         self._hold(np.array(joints))
 
     def sink(self, by_rad: float) -> None:
-        """Be limp: the shoulder gives way by so much."""
+        """Go limp: the shoulder sinks by so much, at most to its limit."""
         self.was_limp = True
         joints = self._rest.copy()
         joints[1] = max(joints[1] - by_rad, self._mount().limits_rad[0, 1])
         self._hold(joints)
 
     def pose(self, time_s: float) -> Pose:
-        """The apex's pose at a time not before now."""
+        """The apex's pose at a time that is not before now."""
         mount, at_s = self._mount(), None if self._trajectory is None else time_s
         if self._pose is None or self._pose[0] != at_s or self._pose[1] is not mount:
             self._pose = at_s, mount, self._apex_of(self._at(time_s))

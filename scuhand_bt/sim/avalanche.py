@@ -1,6 +1,6 @@
-"""How a surface of powder flows until it is nowhere too steep, compiled: most of what a stroke through a mortar costs.
+"""The relaxation of a powder surface to its angle of repose, compiled: most of the cost of a stroke through a mortar.
 
-What it means is told in `scuhand_bt.sim.bed`. The N columns of a square grid are in one row.
+`scuhand_bt.sim.bed` explains the model. The N columns of a square grid are stored in one row.
 """
 
 import numpy as np
@@ -28,12 +28,14 @@ def flow(
     checked: int,
     at_rest_mm: float,
 ) -> None:
-    """Let the uppermost layers flow: surface (N,) and thickness (N,) [mm] are as they are after it.
+    """Let the uppermost layers flow; changes surface (N,) and thickness (N,) [mm] in place.
 
-    `slopes` (N,) are the steepest that they lie at. `over` (N,) is where a sheet is, through which nothing goes but
-    beyond its mouth, `height_mm` along its axis, of which `up` is up and which is `level_mm` (N,) at z = 0. Pairs of
-    neighbours are so many columns `ahead` of each other (W,), and so far apart (W,); `firsts` (2, W, N) is where one
-    begins, in two sets in which no column is in two pairs. It is at rest when no column changes by more in a sweep.
+    `slopes` (N,) are the steepest stable slopes (tangents). `over` (N,) marks the columns under the sheet. Powder does
+    not pass through the sheet, only over its mouth at `height_mm` along the cone's axis; `up` is the axis's vertical
+    component and `level_mm` (N,) the coordinate along the axis at z = 0. Pairs of neighbours are `ahead` (W,) columns
+    and `apart_mm` (W,) apart. `firsts` (2, W, N) marks the first column of each pair, in two sets such that no column
+    is in two pairs of a set and a direction. The flow ends after `sweeps`, or when no column has changed by
+    `at_rest_mm` in a sweep; this is tested every `checked` sweeps.
     """
     count, ways = len(surface_mm), len(ahead)
     pairs, limits_mm = np.empty(firsts.shape, np.int64), np.empty(firsts.shape)

@@ -1,8 +1,7 @@
-"""The simulated balance: a response of the plant, read out at the balance's period, with its own judgement.
+"""The simulated balance: the plant's response, read at the balance's period, with the balance's stability criterion.
 
-It calls a reading stable when, over the last second, the mean of the newer half is within `BAND_DIGITS`
-digits of the mean of the older half: that holds for a settled pan in the presence of noise, and not while
-the filter still creeps.
+A reading is stable if, over the last `WINDOW_S`, the means of the newer and the older half differ by at most
+`BAND_DIGITS` digits. A settled pan passes despite its noise; a filter that still creeps does not.
 """
 
 import math
@@ -23,9 +22,9 @@ from scuhand_bt.sim.plant import BREAKS, Plant
 BAND_DIGITS = 1.5
 WINDOW_S = 1.0
 MEAN_OF = 5
-"""How many stable readings in a row a stable mean is made of."""
+"""The number of consecutive stable readings in a stable mean."""
 DRIFT_MG_PER_S = 1.0
-"""Of a balance whose zero wanders: more than three times what `BAND_DIGITS` lets pass at 0.1 mg."""
+"""The drift of the fault `balance.drifting`: more than three times the drift that `BAND_DIGITS` lets pass at 0.1 mg."""
 
 
 class SimulatedBalance:
@@ -44,22 +43,22 @@ class SimulatedBalance:
         "_span",
         "_is_off",
     )
-    """What the world's file keeps of it."""
+    """The attributes that the world's file keeps."""
 
     def __init__(self, spec: BalanceSpec, clock: Clock, plant: Plant) -> None:
         self.spec = spec
         self.identity = "simulated"
         self.news = Signal()
-        self._calm = Signal()  # its news but for readings that are not stable
+        self._calm = Signal()  # `news` without the unstable readings
         self.latest: Reading | None = None
         self.on_reading: Callable[[Reading], None] | None = None
         self.is_stopped = True
         self.faults = Faults()
-        """What is wrong with it, in a simulation of faults."""
+        """Its active faults; the world replaces it by its own."""
         self._is_powered = True
-        self._heard_s = 0.0  # when it last gave out something
+        self._heard_s = 0.0  # time of its last output
         self._was_lost = False
-        self._zero_mg = 0.0  # what it shows as nothing
+        self._zero_mg = 0.0  # the load that it shows as zero
         self._span = 1.0
         self._is_off = False
         self.next_reading_s = spec.period_s
@@ -74,11 +73,11 @@ class SimulatedBalance:
         self._overloaded = False
 
     def stop(self) -> None:
-        """A balance only reads: nothing to stop."""
+        """Does nothing: a balance only reads."""
 
     @property
     def fault(self) -> SkillFailed | None:
-        """What is wrong with it now."""
+        """Its present fault; None if it is sound."""
         if self._was_lost:
             return SkillFailed(Code.DEVICE_LOST, f"the balance has sent no reading for {self.spec.lost_after_s:g} s")
         return None
@@ -111,7 +110,7 @@ class SimulatedBalance:
         return StableMean(mean, uncertainty_mg, stable[-1].time_s, tuple(stable))
 
     def _next_calm(self, until_s: float) -> Steps[Reading]:
-        """The next reading that is stable, or any after `until_s`: most are neither, and need wake nobody."""
+        """The next stable reading, or the next of any kind after `until_s`: unstable ones need wake nobody."""
         seen = self._calm.count
         while self._calm.count == seen:
             if self._was_lost or self._clock.now_s >= until_s:
@@ -131,27 +130,27 @@ class SimulatedBalance:
         self._rng = rng
 
     def switch(self, *, on: bool) -> None:
-        """Its supply goes off, or on: its zero is then what stands on the pan, however short that was."""
+        """Switch its supply. However short the cut was, the balance then takes the load on the pan as its zero."""
         self._is_powered, self._is_off = on, True
 
     def take_zero(self, on_pan_mg: float) -> None:
-        """Be switched on with so much on the pan: that is nothing from now on."""
+        """Take this load as the zero, as at power-on."""
         self._zero_mg, self.latest = on_pan_mg * self._span, None
         self._values.clear()
 
     def change_span(self, by_share: float) -> None:
-        """Show so much more of whatever is weighed from now on."""
+        """Change the span: from now on every mass reads higher by this share."""
         self._span *= 1.0 + by_share
 
     def move_zero(self, by_mg: float) -> None:
-        """Show so much more from now on."""
+        """Shift the zero: from now on every reading is higher by this."""
         self._zero_mg -= by_mg
 
     def advance(self, end_s: float, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float) -> None:
-        """Go on by `dt_s`; at the end of a period a reading is given out."""
+        """Advance by `dt_s`; give out a reading at the end of each period."""
         try:
             value_mg = self._plant.reading(self._response.step(dt_s, on_pan_mg, landing_mg, vibration, self._rng))
-        except BREAKS as error:  # of somebody's plant
+        except BREAKS as error:  # of a user's plant
             self._plant.blame(error, "balance")
             raise
         if end_s < self.next_reading_s - 1e-9:
@@ -179,7 +178,7 @@ class SimulatedBalance:
                 newer += new_mg - old_mg
             stable = abs(newer) <= BAND_DIGITS * digit_mg * self._half
         stable = stable and "balance.unstable" not in self.faults.active
-        if self._overloaded:  # it says so, and no mass
+        if self._overloaded:  # an overloaded balance reports no mass
             self._tell(calm=True)
             return
         if self.on_reading is None:
@@ -196,10 +195,10 @@ class SimulatedBalance:
             self._calm.fire()
 
     def _is_silent(self, now_s: float) -> bool:
-        """Whether it says nothing that is a reading; after a while that is news."""
+        """Whether it gives out no valid reading now; fires `news` when the balance is lost and when it is back."""
         active = self.faults.active
         is_silent = self._is_off or "balance.silent" in active or "balance.garbage" in active
-        is_silent = is_silent or ("balance.bit_flips" in active and self._readings % FLIPPED == 0)  # not believed
+        is_silent = is_silent or ("balance.bit_flips" in active and self._readings % FLIPPED == 0)  # discarded
         if self._was_lost != (is_silent and now_s - self._heard_s >= self.spec.lost_after_s):
             self._was_lost = not self._was_lost
             self.latest = None if self._was_lost else self.latest
@@ -207,13 +206,13 @@ class SimulatedBalance:
         return is_silent
 
     def _error_mg(self, now_s: float) -> float:
-        """What a wandering zero and a draught add to what it reads."""
+        """The error of a drifting zero and of a draught."""
         active = self.faults.active
         error_mg = DRIFT_MG_PER_S * (now_s - active["balance.drifting"]) if "balance.drifting" in active else 0.0
         return error_mg + (self.faults.push_mg() if "balance.draught" in active else 0.0)
 
 
 def _line_of(readability_mg: float) -> bytes:
-    """The pattern of its lines, in MT-SICS manner: b"S S    12.3456 g", in grams to the last digit it can show."""
+    """The pattern of its lines in MT-SICS format, b"S S    12.3456 g": grams, to the balance's last digit."""
     decimals = max(0, -int(Decimal(str(readability_mg / 1000.0)).normalize().as_tuple().exponent))
     return b"S %%s %%10.%df g\r\n" % decimals

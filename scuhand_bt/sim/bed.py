@@ -2,23 +2,23 @@
 
     s = floor + t,      |s_i - s_j| <= d tan(repose)        t thickness, s surface, i and j neighbours d apart [mm]
 
-Columns of powder stand on a square grid. Where the cone is above a column, two layers lie in it: what is on the wall,
-sheltered, and what lies on the sheet's inside. The uppermost layers of all columns are one surface, which flows until
-nowhere is it steeper than the angle of repose (thin layers: than friction on the wall), over the rim in either
-direction, and never through the sheet.
+Powder stands in columns on a square grid. Where the cone is above a column, the column has two layers: a sheltered one
+on the wall, and one on the inside of the sheet. The uppermost layers of all columns form one surface. It flows until
+nowhere steeper than the angle of repose (thin layers: the angle of wall friction). Powder flows over the rim in both
+directions, never through the sheet.
 
-A step of the cone's motion, from pose to pose:
+Each step of the cone's motion:
 
-- where the rim has passed over a column, what stands higher than the rim is now on the sheet;
-- where the sheet's outside comes down on powder, or slides into it, that is pushed aside;
-- what lies on the sheet goes along with it;
-- then the surface flows.
+* where the rim has passed over a column, the powder above the rim is now on the sheet;
+* where the outside of the sheet meets powder, it pushes the powder aside;
+* powder on the sheet moves with the sheet;
+* then the surface flows.
 
-So a cone that closes upright takes nothing, and a lip along the wall takes what is before it. Nothing here knows what
-a skill expects. What is left out: inertia, and the sheet's softness.
+So a cone that closes upright takes nothing, and a lip that moves along the wall takes the powder in front of it. The
+model knows nothing of what a skill expects. It leaves out inertia and most of the sheet's softness (`GIVES_MM`).
 
 Height fields of granular beds: Li & Moshell, Modeling soil, SIGGRAPH 1993; Sumner, O'Brien & Hodgins, Animating sand,
-mud, and snow, Computer Graphics Forum 18, 1999. Ours differs in the second layer, on the sheet.
+mud, and snow, Computer Graphics Forum 18, 1999. Ours adds the second layer, on the sheet.
 
 Frame: origin at the bowl's lowest point, z up, lengths in mm.
 """
@@ -36,32 +36,33 @@ from scuhand_bt.specs import Mortar, Powder
 
 CELL_MM = 3.0
 BESIDE_MM = 15.0
-"""How far the field goes beyond the bore: there the cone may be, and powder is lost."""
+"""How far the field extends beyond the bore. The cone may be there; powder that comes there is lost."""
 STEP_MM = 2.0
-"""The cone's way between two looks at the powder, at most."""
+"""The cone's motion between two updates of the powder is at least this, and less than twice this."""
 SWEEPS = 8
-"""Of the flow, after every step; `SETTLING` more once the cone has gone."""
+"""Sweeps of the flow after every step; `SETTLING` sweeps once the cone has left."""
 SETTLING = 60
 CHECKED = 5
 AT_REST_MM = 1e-3
-"""Powder of which no column changes by more in a sweep is at rest; it is looked at every `CHECKED` sweeps."""
+"""The powder is at rest if no column changes by more in a sweep; tested every `CHECKED` sweeps."""
 POURED_MG = 1e-3
-"""What the mortar has gained since the cone was last in it; less is rounding."""
+"""The least gain of the mortar since the cone was last in it that counts as poured powder; less is rounding."""
 ROOM_MM = 1.0
-"""A column under the sheet with less is full."""
+"""A column under the sheet with less room is full."""
 GIVES_MM = 0.5
-"""Assumed of a sheet of 0.2 mm, not measured."""
+"""How far the lip of a sheet of 0.2 mm gives way; assumed, not measured."""
 GRIP = 0.3
-"""Of the sheet's motion along itself, the share that its load takes part in."""
+"""The share of the sheet's motion along its own surface that its load follows."""
 GRAINS_THICK = 1.5
-"""A layer of fewer grains slides on the wall as one."""
+"""A layer of fewer grains slides on the wall as a whole."""
 
 ONE_LAYER = 0.94
-"""Of a grain: as thick is one closely packed layer (0.85 of the area) of spheres at a packing of 0.6."""
+"""The thickness of one closely packed layer of spheres at bulk density, in grain diameters: it covers 0.85 of the
+area, and the packing fraction is 0.6."""
 
 
 def wall_mm(mortar: Mortar, radius_mm: Floats) -> Floats:
-    """The bowl's, or the jar's height at distances from its middle; that of the edge, outside."""
+    """The height of the wall of a bowl, or of a jar, at distances from its axis; outside it, that of the edge."""
     a, h = mortar.bore_mm / 2, mortar.depth_mm
     if (corner := mortar.corner_mm) is not None:
         into_mm = np.clip(radius_mm - (a - corner), 0.0, corner)
@@ -72,35 +73,35 @@ def wall_mm(mortar: Mortar, radius_mm: Floats) -> Floats:
 
 
 def nipped_mm(grain_mm: float, wall_friction_deg: float) -> float:
-    """The least gap under a lip that passes over a grain; of a narrower one it pushes the grain along.
+    """The least gap under a lip at which the lip passes over a grain; in a narrower gap it pushes the grain along.
 
-    As between two rolls: a grain between two walls is held where they are no more than twice the angle of friction
-    inclined to each other. Where the lip's edge touches a grain of diameter D on a wall, its g from that, the angle is
-    arccos(2 g / D - 1); so g = D cos^2(delta).
+    The nip angle of rolls: two walls hold a grain if they enclose at most twice the angle of friction. The edge of a
+    lip touches a grain of diameter D on a wall at the height g of the gap; the angle there is arccos(2 g / D - 1). So
+    g = D cos^2(delta).
     """
     return grain_mm * math.cos(math.radians(wall_friction_deg)) ** 2
 
 
 def passing_mm(gap_mm: Floats, grain_mm: float, loose_grains: float) -> Floats:
-    """How much powder passes under a lip at a gap, as the thickness that it has at its bulk density.
+    """The powder that passes under a lip at a gap, as its thickness at bulk density.
 
-    Grains whose tops are above the lip are taken along, and beside a wall there is more void: a layer's top is higher
-    than its mass would make it by so many grains: 0.7 in beds of beads of 1.5 and 2 mm, 5 and 8 mm thick, by discrete
-    elements (round ones: Benenati & Brosilow, AIChE J. 8, 1962). What it is of another powder no lab knows.
-    One layer of grains passes a gap that passes one grain.
+    The lip takes along the grains whose tops are above it, and a layer is looser beside a wall. So the top of a layer
+    is `loose_grains` higher than its mass suggests: 0.7 in beds of beads of 1.5 and 2 mm, 5 and 8 mm thick, by the
+    discrete element method (voids of spheres beside a wall: Benenati & Brosilow, AIChE J. 8, 1962). It has not been
+    measured for other powders. One layer of grains passes a gap that passes one grain.
     """
     passing: Floats = np.minimum(gap_mm, np.maximum(gap_mm - loose_grains * grain_mm, ONE_LAYER * grain_mm))
     return passing
 
 
 class HeightField:
-    """The powder of one mortar, and of the cone while that is in it.
+    """The powder of one mortar, and that in the cone while the cone is in the mortar.
 
-    It remembers what lies where; how much there is, it is told with every motion.
+    It remembers where the powder lies. With every motion the caller gives the masses.
     """
 
     def __init__(self, mortar: Mortar, powder: Powder, slant_mm: float = 50.0, gives_mm: float = GIVES_MM) -> None:
-        """`gives_mm`: how wide a gap under its lip the sheet bends down to; 0 for a rigid one."""
+        """`gives_mm` is the widest gap under its lip that the sheet closes by bending down; 0 for a rigid sheet."""
         self._mortar, self._slant_mm, self._gives_mm = mortar, slant_mm, gives_mm
         figures = powder.simulation
         self._mg_per_mm = CELL_MM**2 * powder.bulk_density_mg_per_mm3
@@ -118,7 +119,7 @@ class HeightField:
         self._border |= self._border.T
         self._on_wall = np.zeros_like(self._wall)
         self._on_sheet = np.zeros_like(self._wall)
-        self._lost_mm = 0.0  # over the edge, since it was last told
+        self._lost_mm = 0.0  # over the edge, since `_told_mg` was last called
         self._cone: ConeOver | None = None
         self._ways, self._nowhere = _ways(len(line)), np.zeros(radius.size, bool)
         self._written: str | None = None
@@ -132,18 +133,18 @@ class HeightField:
         return float(self._on_sheet.sum()) * self._mg_per_mm
 
     def surface_mm(self) -> Floats:
-        """(n, n): the height of the uppermost powder, or of what it would lie on."""
+        """(n, n): the height of the uppermost powder, or of the floor where there is none."""
         floor, top = self._uppermost()
         return floor + top
 
     def move(
         self, apex_mm: Floats, axis: Floats, rim_mm: float, in_mortar_mg: float, in_cone_mg: float
     ) -> tuple[float, float]:
-        """The cone is here now: the mass [mg] that it has gained (less than 0: lost), and that is over the edge.
+        """Move the cone here; returns the mass [mg] that it gained (negative: lost), and the mass gone over the edge.
 
-        Apex (3,) from the bowl's lowest point, z up; axis (3,), a unit vector from there up out of the mouth; the
-        rim's diameter. `in_mortar_mg` and `in_cone_mg` are what there was until now. Small ways add up until there is
-        something to look at.
+        Apex (3,) from the bowl's lowest point, z up; axis (3,), unit vector from the apex out of the mouth; `rim_mm`
+        is the rim's diameter. `in_mortar_mg` and `in_cone_mg` are the masses before this motion. Motions below
+        `STEP_MM` add up.
         """
         there = ConePose(np.asarray(apex_mm, float), np.asarray(axis, float), rim_mm, self._slant_mm)
         self._agree(there, in_mortar_mg, in_cone_mg)
@@ -154,20 +155,22 @@ class HeightField:
         return self.in_cone_mg - in_cone_mg, self._told_mg()
 
     def leave(self) -> float:
-        """The cone has left the mortar, with what it holds: the mass [mg] over the edge as all comes to rest."""
+        """The cone has left the mortar with its load; returns the mass [mg] that goes over the edge until the bed is
+        at rest.
+        """
         self._on_sheet[:] = 0.0
         self._cone = self._written = None
         self._flow(SETTLING)
         return self._told_mg()
 
     def _told_mg(self) -> float:
-        """What has gone over the edge since this was last asked."""
+        """The mass that has gone over the edge since the last call."""
         lost_mg, self._lost_mm = self._lost_mm * self._mg_per_mm, 0.0
         return lost_mg
 
     @property
     def kept(self) -> tuple[str, list[float]]:
-        """Both layers: float32, row by row, compressed, base64; and the cone's apex, axis and rim, if it is there."""
+        """Both layers (float32, row by row, compressed, base64), and the cone's apex, axis and rim if it is inside."""
         if self._written is None:
             layers = np.stack([self._on_wall, self._on_sheet]).astype("<f4")
             self._written = b64encode(zlib.compress(layers.tobytes(), 1)).decode()
@@ -184,9 +187,9 @@ class HeightField:
             self._cone = ConeOver(pose, self._x, self._y)
 
     def _agree(self, pose: ConePose, in_mortar_mg: float, in_cone_mg: float) -> None:
-        """There is as much as it is said to be: more has come on top, in a heap, of less every column has its share.
+        """Adjust the layers to these masses: added powder forms a heap; of a loss, every column takes the same share.
 
-        What was in the mortar first was put there by a person, and lies level.
+        The first powder of a mortar was filled in by a person, and lies level.
         """
         there_mg = self.in_mortar_mg
         more_mg = in_mortar_mg - there_mg
@@ -204,19 +207,19 @@ class HeightField:
             self._lay(pose, in_cone_mg)
 
     def _pour(self, mass_mg: float) -> None:
-        """So much trickles onto the middle: a heap, whose top is as high as the mass makes it."""
+        """Pour powder onto the middle: it forms a heap."""
         below = self._steep * np.hypot(self._x, self._y) + self._wall + self._on_wall
         self._on_wall += self._filled(np.where(self._outside, math.inf, below), mass_mg)
         self._flow(SETTLING)
 
     def _lay(self, pose: ConePose, mass_mg: float) -> None:
-        """The cone comes with so much: level, until it flows."""
+        """The cone enters with a load: it lies level until it flows."""
         cone = ConeOver(pose, self._x, self._y)
         if cone.over.any():
             self._on_sheet = self._filled(np.where(cone.over, cone.sheet_mm, math.inf), mass_mg)
 
     def _filled(self, floor_mm: Floats, mass_mg: float) -> Floats:
-        """The thickness of so much on a floor, up to one level."""
+        """The thickness of this mass on a floor, filled up to one level."""
         low_mm, high_mm = float(floor_mm.min()), float(floor_mm.min()) + 1000.0
         while high_mm - low_mm > 1e-4:
             level_mm = (low_mm + high_mm) / 2
@@ -240,7 +243,7 @@ class HeightField:
             self._flow(SWEEPS)
 
     def _ride(self, before: ConeOver, now: ConePose) -> None:
-        """What lies on the sheet goes where the sheet goes, each column's mass shared by four."""
+        """The powder on the sheet moves with the sheet; each column's mass is shared by four."""
         loaded = self._on_sheet > 0.0
         if not loaded.any():
             return
@@ -258,7 +261,7 @@ class HeightField:
                 np.add.at(self._on_sheet, (corner[:, 0] + i, corner[:, 1] + j), thick * part_i * part_j)
 
     def _carry(self, over: Mask) -> bool:
-        """What lay on the sheet where it is no more has gone along with it."""
+        """Powder of columns that the sheet no longer covers has moved along with the sheet."""
         left = ~over & (self._on_sheet > 0.0)
         if not left.any():
             return False
@@ -271,14 +274,14 @@ class HeightField:
         return True
 
     def _cut(self, entered: Mask, before: ConePose, now: ConePose) -> bool:
-        """What the rim has passed under is on the sheet."""
+        """The powder that the rim has passed under is now on the sheet."""
         entered = entered & (self._on_wall > 0.0)
         if not entered.any():
             return False
         x, y = self._x[entered], self._y[entered]
         wall, thick = self._wall[entered], self._on_wall[entered]
         assert self._cone is not None
-        # The rim's point on the same generator: how far it was above the wall there is what it has left.
+        # The rim's point on the same generator left a layer as thick as its gap to the wall.
         points = np.stack([x, y, self._cone.sheet_mm[entered]], axis=1)
         rim = now.apex_mm + (points - now.apex_mm) * (now.height_mm / np.maximum(now.along_mm(points), 1e-6))[:, None]
         gap = rim[:, 2] - wall_mm(self._mortar, np.hypot(rim[:, 0], rim[:, 1]))
@@ -293,7 +296,9 @@ class HeightField:
         return bool(taken.any())
 
     def _push(self, over: Mask) -> bool:
-        """What the sheet's outside meets goes aside, to the nearest column that has room, under the sheet or not."""
+        """Powder that the outside of the sheet meets goes to the nearest column that has room, under the sheet or
+        not.
+        """
         assert self._cone is not None
         room = np.where(over, np.maximum(self._cone.sheet_mm - self._wall, 0.0), math.inf) - self._on_wall
         pushed = room < 0.0
@@ -348,8 +353,9 @@ class HeightField:
 
 
 def _ways(n: int) -> tuple[NDArray[np.int64], Floats, NDArray[np.bool_]]:
-    """To a column's neighbours: how far ahead one is in the row of all columns, how far apart they are, and from which
-    columns on: two sets of these, so that of their pairs no column is in two."""
+    """The directions to a column's neighbours: offset in the row of all columns, distance [mm], and the first columns
+    of the pairs, in two sets such that no column is in two pairs of a set and a direction.
+    """
     i, j = np.indices((n, n))
     below, beside = i < n - 1, j < n - 1
     may = np.array([below, beside, below & beside, below & (j > 0)])

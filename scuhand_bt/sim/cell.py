@@ -1,4 +1,4 @@
-"""A simulated cell: the devices of `cell.yaml`, made of a world."""
+"""A simulated cell: the devices of `cell.yaml`, built on a world."""
 
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
@@ -43,9 +43,10 @@ def simulated_cell(
 ) -> tuple[Cell, World]:
     """A cell whose devices act on a `World`; the caller makes the world the clock's process.
 
-    `plant` is "module:Class", None for the cell's own (`spec.plant`) or ours; `joints` is where the arm
-    stands; `changer` replaces the simulated carousel (the operator's hands), `apex_of` the arm's forward
-    kinematics; `faults` are what is to go wrong. PlantError, before anything moves, for a plant that cannot be used.
+    `plant` is "module:Class"; None stands for the cell's own plant (`spec.plant`) or else ours. `joints` is where the
+    arm stands. `changer` replaces the simulated carousel (for example by the operator's hands), `apex_of` the arm's
+    forward kinematics. `faults` are the faults to come. Raises PlantError for a plant that cannot be used, before
+    anything moves.
     """
     physics = probed_plant(plant or spec.plant, sources.values(), spec.balance)
     hand = SimulatedHand(spec.hand, clock, None if motion is None else motion.mount)

@@ -7,7 +7,9 @@ from scuhand_bt.specs import Container
 
 
 class SimulatedChanger:
-    """A carousel beside the balance, half a slot onwards in `swing_s`; see `scuhand_bt.devices.interfaces.Changer`."""
+    """A carousel beside the balance that swings half a slot in `swing_s`; see
+    `scuhand_bt.devices.interfaces.Changer`.
+    """
 
     needs_person = False
     fault = None
@@ -26,12 +28,12 @@ class SimulatedChanger:
         return not self._world.pan.is_swinging
 
     def stop(self) -> None:
-        """It ends the swing it is in: a container is never left hanging."""
+        """Does nothing: the carousel ends its swing, so that no container is left hanging."""
 
     def bring(self, container: Container) -> Steps[None]:
         yield from self._rest()
         if self._world.pan.container_id == container.id:
-            return  # the swing that was to bring it went on to its end when nobody waited for it any more
+            return  # an earlier, abandoned `bring` has brought it: a swing always goes on to its end
         if self._world.pan.container_id is not None:
             raise SkillFailed(
                 Code.CONTAINER_MISSING, f"the pan is not free: '{self._world.pan.container_id}' stands on it"

@@ -1,8 +1,8 @@
-"""The powder in the cone: how a scoop takes it in, and every way it leaves, until it has landed.
+"""The powder in the cone: its intake, every way it leaves, and its fall until it has landed.
 
-What the cone takes in is the mortars' (`scuhand_bt.sim.mortars`). Powder leaves the apex when the valve is open, or
-leaks; it pours over the rim of a cone that leans, or is accelerated, more than its load allows
-(`scuhand_bt.sim.spilling`); it lands, a fall later, on what stands below.
+`scuhand_bt.sim.mortars` computes the intake. Powder leaves the apex while the valve is open or leaks. It pours over
+the rim when the cone leans, or is accelerated, more than its load allows (`scuhand_bt.sim.spilling`). It lands, after
+its fall time, on what stands below.
 """
 
 from collections import deque
@@ -34,13 +34,13 @@ from scuhand_bt.sim.under_the_cone import Surroundings
 from scuhand_bt.specs import Source
 
 CLOG_SHAKE_S = 3.0
-"""A clog at the apex is broken by so much vibration at full level."""
+"""The vibration at full level that breaks a clog at the apex."""
 LEAK_MG_PER_S = 2.0
-"""What a leaking cone loses while its valve is shut."""
+"""The leak of the shut valve in the fault `cone.leak`."""
 
 
 class ConeLoad:
-    """What the cone holds of one source, and what has fallen from it and is in the air."""
+    """The powder in the cone, of one source, and the powder in the air."""
 
     STATE: ClassVar[tuple[str, ...]] = (
         "source",
@@ -52,7 +52,7 @@ class ConeLoad:
         "_scoop_rng",
         "_shaken_s",
     )
-    """What the world's file keeps of it, beside the masses."""
+    """The attributes that the world's file keeps, beside the masses."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class ConeLoad:
         faults: Faults,
     ) -> None:
         self.source: str | None = None
-        """Whose powder it is; None while the cone has held none since its sheet was new."""
+        """The source of the powder; None while the present sheet has held none."""
         self._ledger, self._masses_mg, self._pan, self._around = ledger, ledger.masses_mg, pan, around
         self._sources, self._plant, self._mortars = sources, plant, mortars
         self._arm, self._hand, self._faults = arm, hand, faults
@@ -76,24 +76,24 @@ class ConeLoad:
         self._below: tuple[str | None, Compartment, float] | None = None  # container on the pan, where, fall time [s]
         self._was_open = False
         self._carried = Carried()
-        self._rim_mm = hand.cone_diameter_mm  # as it was looked at last
-        self._is_pouring = True  # for all that is known, and so in a world that is taken up
+        self._rim_mm = hand.cone_diameter_mm  # at the last step
+        self._is_pouring = True  # until the first look, also in a resumed world
         self._shaken_s = 0.0
         self._flow_rng: Generator
         self._scoop_rng: Generator
 
     def use_randomness(self, flow: Generator, scoop: Generator) -> None:
-        """Draw from these from now on."""
+        """Draw from these generators from now on."""
         self._flow_rng, self._scoop_rng = flow, scoop
 
     @property
     def is_falling(self) -> bool:
-        """Powder is in the air, or may fall in the next step."""
+        """Whether powder is in the air, or may fall in the next step."""
         return bool(self._flying) or self._was_open or "cone.leak" in self._faults.active
 
     @property
     def flying(self) -> list[tuple[float, float, str]]:
-        """The time of landing [s], the mass [mg] and the compartment, in text, of all that is in the air."""
+        """The time of landing [s], the mass [mg] and the compartment (as text) of all powder in the air."""
         return [(time_s, mass_mg, str(place)) for time_s, mass_mg, place in self._flying]
 
     @flying.setter
@@ -102,7 +102,7 @@ class ConeLoad:
 
     @property
     def flow(self) -> PowderFlow | None:
-        """The flow of the powder in the cone: a fresh one, for the kept one's state, in a world that is taken up."""
+        """The flow of the powder in the cone; in a resumed world a new one, which then takes the kept state."""
         if self._flow is None and self.source is not None:
             if self.source not in self._sources:
                 raise Misplaced(f"powder of '{self.source}', which the recipe no longer has, is in the cone")
@@ -123,13 +123,13 @@ class ConeLoad:
         self._flow = self._plant.flow(self._sources[source].powder)
 
     def throw_away(self) -> None:
-        """The cone's sheet goes, with what stuck to it and what it still held."""
+        """Throw away the sheet, with the powder on it and in the cone."""
         for place in (CONE, SHEET):
             self._ledger.transfer(place, WASTE, self._masses_mg[place])
         self._flow = self.source = None
 
     def advance(self, end_s: float, dt_s: float, opening_mm: float) -> float:
-        """Go on by a step at this mean opening; the mass [mg] that landed on the balance."""
+        """Advance by a step at this mean opening; returns the mass [mg] that landed on the balance."""
         if opening_mm > 0.0 or self._was_open:
             self._leave(end_s, dt_s, opening_mm)
         elif "cone.leak" in self._faults.active:
@@ -145,7 +145,7 @@ class ConeLoad:
         return self._land(end_s) if self._flying else 0.0
 
     def drop(self, now_s: float, mass_mg: float) -> None:
-        """Let so much fall from the cone's apex."""
+        """Let this mass fall from the cone's apex."""
         if mass_mg <= 0.0:
             return
         if self._below is None or self._arm.is_active or self._below[0] != self._pan.container_id:
@@ -154,7 +154,7 @@ class ConeLoad:
         self._fall(now_s, mass_mg, *self._below[1:])
 
     def _pour(self, now_s: float, mass_mg: float, pose: ConePose) -> None:
-        """Let so much fall over the rim."""
+        """Let this mass fall over the rim."""
         if mass_mg > 0.0:
             self._fall(now_s, mass_mg, *self._around.below(pose.lip_mm, self._pan.mouth_mm, self.source))
 
@@ -163,7 +163,7 @@ class ConeLoad:
         self._flying.append((now_s + fall_s, mass_mg, place))
 
     def _leave(self, end_s: float, dt_s: float, opening_mm: float) -> None:
-        """Powder leaves the apex."""
+        """Let powder flow out of the apex."""
         in_cone_mg = self._masses_mg[CONE]
         self._was_open = opening_mm > 0.0
         if in_cone_mg <= 0.0 or self._flow is None or self._is_clogged(end_s, dt_s):
@@ -171,7 +171,7 @@ class ConeLoad:
         try:
             leaving_mg = self._flow.step(dt_s, opening_mm, self._hand.felt_vibration, in_cone_mg, self._flow_rng)
             leaving_mg = self._plant.leaving(leaving_mg, in_cone_mg)
-        except BREAKS as error:  # of somebody's plant
+        except BREAKS as error:  # of a user's plant
             self._plant.blame(error, "flow")
             raise
         self.drop(end_s, leaving_mg)
@@ -216,7 +216,7 @@ class ConeLoad:
         self.begin(source)
 
     def _land(self, now_s: float) -> float:
-        """Let what has fallen land; the mass [mg] that landed on the balance."""
+        """Land the powder whose fall is over; returns the mass [mg] that landed on the balance."""
         landed_mg = 0.0
         flying = self._flying
         while flying and flying[0][0] <= now_s:
@@ -229,6 +229,6 @@ class ConeLoad:
                 self._pan.land(mass_mg, density)
             else:
                 self._ledger.transfer(FLIGHT, place, mass_mg)
-        if not flying:  # the dust of adding and subtracting
+        if not flying:  # rounding leaves a residue
             self._ledger.transfer(FLIGHT, WASTE, self._masses_mg[FLIGHT])
         return landed_mg

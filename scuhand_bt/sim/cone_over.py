@@ -1,7 +1,7 @@
-"""Where a cone is, and what its sheet is over: the lower side of a leaning cone above every column of a grid.
+"""A cone's pose, and the height of its sheet above every column of a grid (the lower side of a leaning cone).
 
-On the upright through (x, y), with q its offset from the apex, c = q . u along the axis u, and zeta the height above
-the apex, the sheet (half-angle a, height h) is met where
+On the vertical through (x, y), with q its offset from the apex, c = q . u along the axis u, and zeta the height above
+the apex, the sheet (half-angle a, height h) is where
 
     zeta^2 (cos^2 a - u_z^2) - 2 c u_z zeta + q^2 cos^2 a - c^2 = 0,     0 <= c + u_z zeta <= h
 
@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class ConePose:
-    """A cone by its apex (3,), its axis (3,) from there up out of the mouth, its rim's diameter and its slant."""
+    """A cone: apex (3,), axis (3,) (unit vector from the apex out of the mouth), the rim's diameter and the slant."""
 
     apex_mm: Floats
     axis: Floats
@@ -34,19 +34,19 @@ class ConePose:
         return math.sqrt(self.slant_mm**2 - (self.rim_mm / 2) ** 2)
 
     def along_mm(self, points: Floats) -> Floats:
-        """(m, 3) to (m,): how far along the axis, from the apex."""
+        """(m, 3) to (m,): the coordinate of points along the axis, from the apex."""
         along: Floats = (points - self.apex_mm) @ self.axis
         return along
 
     def moved_to(self, there: "ConePose", points: Floats) -> Floats:
-        """(m, 3): where points of the cone are once it has gone there, by a turn so small that it adds."""
+        """(m, 3): where points of the cone are after it has moved there; linearised, so the rotation must be small."""
         from_apex = points - self.apex_mm
         x, y, z = cross(self.axis, there.axis)
         moved: Floats = there.apex_mm + from_apex @ np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
         return moved
 
     def normals(self, points: Floats) -> Floats:
-        """(m, 3): unit vectors across the sheet at points on it, inwards; the axis at the apex."""
+        """(m, 3): inward unit normals of the sheet at points on it; the axis at the apex."""
         along = self.along_mm(points)[:, None]
         inwards = self.apex_mm + along / (self.height_mm / self.slant_mm) ** 2 * self.axis - points
         size = np.linalg.norm(inwards, axis=1, keepdims=True)
@@ -54,7 +54,7 @@ class ConePose:
         return unit
 
     def outline_mm(self, points: int = 24) -> Floats:
-        """(points + 1, 3): its rim, and its apex."""
+        """(points + 1, 3): points of its rim, and its apex."""
         axis = self.axis.tolist()
         aside = cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.7 else (0.0, 1.0, 0.0))
         size = math.hypot(*aside)
@@ -67,7 +67,7 @@ class ConePose:
 
     @property
     def lip_mm(self) -> Floats:
-        """(3,): the rim's lowest point, over which powder pours; of an upright cone, any."""
+        """(3,): the lowest point of the rim, over which powder pours; of an upright cone, the middle of its mouth."""
         down = self.axis[2] * self.axis - (0.0, 0.0, 1.0)
         size = float(np.linalg.norm(down))
         lip: Floats = self.apex_mm + self.height_mm * self.axis + self.rim_mm / 2 * down / max(size, 1e-9)
@@ -75,20 +75,20 @@ class ConePose:
 
     @property
     def lowest_mm(self) -> float:
-        """How high the lowest of its points is: of its apex, and of its rim."""
+        """The height of its lowest point, of the apex and the rim."""
         apex_mm, up = float(self.apex_mm[2]), float(self.axis[2])
         drop_mm = self.rim_mm / 2 * math.sqrt(max(0.0, 1.0 - up * up))
         return min(apex_mm, apex_mm + self.height_mm * up - drop_mm)
 
     def way_mm(self, there: "ConePose") -> float:
-        """How far its apex, or its rim, goes."""
+        """How far the cone moves: the larger way of its apex and of its mouth's centre, plus the growth of the rim."""
         shift = there.apex_mm - self.apex_mm
         turned_mm = there.height_mm * there.axis - self.height_mm * self.axis
         leads_mm = max(float(np.linalg.norm(shift)), float(np.linalg.norm(shift + turned_mm)))
         return leads_mm + abs(there.rim_mm - self.rim_mm) / 2
 
     def towards(self, there: "ConePose", share: float) -> "ConePose":
-        """So far on the way there."""
+        """The pose at this share of the way there."""
         axis = self.axis + share * (there.axis - self.axis)
         return ConePose(
             self.apex_mm + share * (there.apex_mm - self.apex_mm),
@@ -106,7 +106,7 @@ def _circle(points: int) -> Floats:
 
 
 def cross(a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> tuple[float, float, float]:
-    """Of two single vectors, for which numpy's own takes ten times as long."""
+    """The cross product of two single vectors; numpy's takes ten times as long."""
     (ax, ay, az), (bx, by, bz) = a, b
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
@@ -128,8 +128,8 @@ class ConeOver:
         above = (across * u_z - np.sqrt(np.maximum(under_root, 0.0))) / square
         along = across + u_z * above
         self.over: Mask = (under_root >= 0.0) & (along >= 0.0) & (along <= pose.height_mm)
-        """Where the sheet is what is met first, from below."""
+        """Where the sheet is the first thing met from below."""
         self.sheet_mm: Floats = pose.apex_mm[2] + above
-        """How high it is; only where it is over a column."""
+        """The sheet's height; valid only where `over`."""
         self.level_mm: Floats = across - u_z * pose.apex_mm[2]
-        """The way along the axis at z = 0."""
+        """The coordinate along the axis at z = 0."""

@@ -1,4 +1,4 @@
-"""Fault files: what is to go wrong in a simulated cell, and when, as rules that a person can read.
+"""Fault files: rules for what goes wrong in a simulated cell, and when; docs/faults.md.
 
 faults:
   - {fault: balance.silent, at_pulse: 3, for: 5 s}   # when the valve opens for the 3rd time
@@ -37,9 +37,9 @@ A_MOMENT = 0.0
 
 @dataclass(frozen=True, slots=True)
 class FaultKind:
-    """A fault there is: what it does, when it may begin, how long it lasts, and what it affects.
+    """A kind of fault: what it does, when it may begin, how long it lasts, and what it affects (`place`).
 
-    Two faults of one place exclude one another; all others may come together.
+    Two faults of one place exclude each other; all others may be active together.
     """
 
     summary: str
@@ -104,7 +104,7 @@ KINDS: Mapping[str, FaultKind] = {
     ),
 }
 OUTAGES = {name: kind for name, kind in KINDS.items() if kind.opportunity == "outage"}
-"""What a power cut may do: it comes only to a run that ends without a word, or is stopped, and is resumed."""
+"""What a power cut may do. It comes only to a run that is stopped or killed, and then resumed."""
 TRIGGERS = ("at_pulse", "at", "probability")
 
 
@@ -113,17 +113,17 @@ class Rule(Spec):
 
     fault: str
     at_pulse: Annotated[int | None, Field(ge=1)] = None
-    """The opening of the valve it comes with, counted from 1."""
+    """The opening of the valve at which it begins, counted from 1."""
     at_s: Annotated[Seconds | None, Field(ge=0)] = None
-    """When it comes: time of the run, or since its sample's beginning."""
+    """When it begins: time of the run, or since the beginning of its `sample`."""
     probability: Annotated[float | None, Field(gt=0, le=1)] = None
-    """How likely it comes at each opportunity."""
+    """Its probability at each opportunity."""
     sample: str | None = None
-    """The only sample in which it may come."""
+    """The only sample in which it may begin."""
     for_s: Annotated[Seconds | None, Field(gt=0)] = None
-    """How long it lasts; as long as its kind says, if None."""
+    """How long it lasts; None: as long as its kind says."""
     times: Annotated[int | None, Field(ge=1)] = None
-    """How often it may come."""
+    """How often it may begin."""
 
     @property
     def kind(self) -> FaultKind:
@@ -135,7 +135,7 @@ class Rule(Spec):
 
     @property
     def at_most(self) -> float:
-        """How often it may come: once, or without limit for one that is drawn."""
+        """How often it may begin: `times`; else once, or without limit for a rule with a probability."""
         return self.times if self.times is not None else 1 if self.probability is None else math.inf
 
 
@@ -146,7 +146,7 @@ class FaultFile:
     text: str
     rules: tuple[Rule, ...]
     marks: tuple[Mark, ...]
-    """Where each rule stands."""
+    """The position of each rule in the file."""
 
     @property
     def hash(self) -> str:
@@ -154,7 +154,7 @@ class FaultFile:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     def check_samples(self, samples: Collection[str]) -> None:
-        """SourceError for a rule about a sample that is not among these."""
+        """Raises SourceError for rules about a sample that is not among these."""
         problems = Problems()
         for rule, mark in zip(self.rules, self.marks, strict=True):
             if rule.sample is not None and rule.sample not in samples:
@@ -163,7 +163,10 @@ class FaultFile:
         problems.raise_any()
 
     def refuse(self, faults: Mapping[str, str], of_samples: str = "") -> None:
-        """SourceError for each rule about one of these faults, with the reason; or about a sample, if there is one."""
+        """Raises SourceError, with the reason, for rules about one of these faults.
+
+        With `of_samples`, a reason, it also refuses rules with a `sample`.
+        """
         found = [
             Problem(mark, f"'{rule.fault}' has no effect here: {faults[rule.fault]}")
             for rule, mark in zip(self.rules, self.marks, strict=True)
@@ -177,12 +180,12 @@ class FaultFile:
 
 
 def read_faults(path: Path) -> FaultFile:
-    """Read and check a fault file; SourceError with every mistake found."""
+    """Read and check a fault file; raises SourceError with every mistake found."""
     return parse_faults(read_text(path, "a fault file"), str(path))
 
 
 def parse_faults(text: str, file: str) -> FaultFile:
-    """The same of a text, which `file` names in messages."""
+    """The same for a text; messages name `file`."""
     problems = Problems()
     faults = faults_of(parse(text, file, "a fault file"), text, problems)
     problems.raise_any()
@@ -190,7 +193,7 @@ def parse_faults(text: str, file: str) -> FaultFile:
 
 
 def faults_of(root: Node, text: str, problems: Problems) -> FaultFile:
-    """The same of what has been parsed; what is wrong is noted."""
+    """The same for a parsed node; mistakes are added to `problems`."""
     rules = [(_read_rule(item, problems), item.mark) for item in _items(root, problems)]
     read = [(rule, mark) for rule, mark in rules if rule is not None]
     return FaultFile(text, tuple(rule for rule, _ in read), tuple(mark for _, mark in read))
@@ -225,7 +228,7 @@ def _read_rule(node: Node, problems: Problems) -> Rule | None:
 
 
 def _check_together(rule: Rule, node: Entries, problems: Problems) -> None:
-    """What does not go with the rest of its rule."""
+    """Keys that contradict the rest of their rule."""
     triggers = [key for key in TRIGGERS if key in node.keys]
     for key in triggers[1:]:
         problems.add(node.keys[key], f"'{key}' and '{triggers[0]}' both say when", "one of " + ", ".join(TRIGGERS))

@@ -1,7 +1,7 @@
-"""Faults as they come: the rules of a fault file, while the simulated world goes on.
+"""Active faults: the rules of a fault file, applied as the simulated world advances.
 
-The simulated devices and the world ask what is wrong now (`active`), and tell of every opportunity for a fault
-to begin. Rules are looked at in the order of their file; of two that exclude one another, the earlier wins.
+The simulated devices and the world ask which faults are active (`active`), and report every opportunity for a fault to
+begin. Rules apply in the order of their file; of two that exclude each other, the earlier wins.
 """
 
 from collections.abc import Sequence
@@ -17,34 +17,34 @@ from scuhand_bt.sim.randomness import substream
 JUMP_MG = 5.0
 """Standard deviation of a draught's push on the pan."""
 FLIPPED = 5
-"""Of so many lines of the balance, one has a bit flipped, where the cable is bad."""
+"""With the fault `balance.bit_flips`, one of so many lines of the balance has a flipped bit."""
 JUMPS = 0.5
-"""How likely that push is another one at the next reading."""
+"""Probability that the push changes at the next reading."""
 
 
 @dataclass(slots=True)
 class _Course:
-    """How far one rule has come."""
+    """The progress of one rule."""
 
     openings: int = 0
     alarm_s: float = inf
-    """When it comes, for a rule that says when."""
+    """When it begins, for a rule with a time."""
     is_due: bool = False
-    """A momentary fault whose time has come waits for its opportunity."""
+    """A momentary fault whose time has come waits for its next opportunity."""
     until_s: float = -inf
     came_s: list[float] = field(default_factory=list)
     rng: Generator | None = None
 
 
 class Faults:
-    """What goes wrong in one simulated cell."""
+    """The faults of one simulated cell."""
 
     STATE: ClassVar[tuple[str, ...]] = ("active", "_sample", "_courses", "_next_s", "_air_rng", "_push_mg")
 
     def __init__(self, rules: Sequence[Rule] = (), seed: int = 0) -> None:
         self.rules = tuple(rules)
         self.active: dict[str, float] = {}
-        """The lasting faults that are there now, and since when [s]."""
+        """The lasting faults that are active now, and since when [s]."""
         self._seed = seed
         self._sample = ""
         self._next_s = inf
@@ -70,7 +70,7 @@ class Faults:
         self._note_next()
 
     def advance(self, now_s: float) -> None:
-        """Let come what is due, and go what is over."""
+        """Begin the faults that are due, and end those that are over."""
         if now_s < self._next_s:
             return
         for rule, course in zip(self.rules, self._courses, strict=True):
@@ -101,7 +101,7 @@ class Faults:
         self._look(now_s)
 
     def comes(self, fault: str, now_s: float) -> bool:
-        """Whether this momentary fault comes now, at an opportunity for it."""
+        """Whether this momentary fault comes now; called at an opportunity for it."""
         found = False
         for rule, course in zip(self.rules, self._courses, strict=True):
             if rule.fault == fault and (self._strikes(rule, course) or course.is_due) and not found:
@@ -110,7 +110,7 @@ class Faults:
         return found
 
     def end(self, fault: str, now_s: float) -> None:
-        """The world has put an end to a lasting fault."""
+        """End a lasting fault before its time."""
         for rule, course in zip(self.rules, self._courses, strict=True):
             if rule.fault == fault:
                 course.until_s = -inf
@@ -123,7 +123,7 @@ class Faults:
         return self._push_mg
 
     def account(self) -> list[dict[str, Any]]:
-        """Each rule's fault, and when it came [s]; for the journal."""
+        """Each rule's fault, and when it began [s]; for the journal."""
         marked = zip(self.rules, self._courses, strict=True)
         return [{"fault": rule.fault, "came_s": [round(s, 3) for s in course.came_s]} for rule, course in marked]
 
@@ -131,7 +131,7 @@ class Faults:
         return rule.sample in (None, self._sample) and len(course.came_s) < rule.at_most
 
     def _strikes(self, rule: Rule, course: _Course) -> bool:
-        """Whether a rule that names no time takes this opportunity."""
+        """Whether a rule without a time takes this opportunity."""
         if rule.at_s is not None or rule.at_pulse is not None or not self._is_possible(rule, course):
             return False
         return rule.probability is None or (course.rng is not None and course.rng.random() < rule.probability)
@@ -149,7 +149,7 @@ class Faults:
         course.came_s.append(now_s)
 
     def _look(self, now_s: float) -> None:
-        """See what is there now."""
+        """Update `active`."""
         self.active, places = {}, set()
         for rule, course in zip(self.rules, self._courses, strict=True):
             if course.until_s <= now_s:

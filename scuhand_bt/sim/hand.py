@@ -1,9 +1,9 @@
-"""The simulated hand: its sheet's size, the valve at the apex, the vibration motor.
+"""The simulated hand: the sheet's size, the valve at the apex, the vibration motor.
 
-The valve's servo moves at a constant speed, a dead time after it was told to. The gap it makes is not
-quite what it was told: real opening = servo + error, where the error is drawn as the valve opens and
-stays until it is shut (the sheet buckles a little differently each time); near shut the error fades, and shut
-is shut. The servo's own encoder cannot see it: `opening_mm` reports the servo.
+The valve's servo moves at a constant speed, a dead time after a command. The gap it makes has an error: real opening =
+servo + error. The error is drawn as the valve opens and stays until it is shut, because the sheet buckles a little
+differently each time. Near shut the error fades to zero. The servo's encoder cannot see the error: `opening_mm`
+reports the servo.
 """
 
 import math
@@ -35,21 +35,21 @@ from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.sim.faults import Faults
 
 FADE_MM = 0.2
-"""Below this servo position the opening's error fades to nothing."""
+"""Below this servo position the opening's error fades to zero."""
 SHUT_MM = 0.01
-"""A valve that is this near to shut is shut."""
+"""A valve that is open less than this counts as shut."""
 SLOW = 0.4
-"""Share of its speed that a slow valve has left."""
+"""The share of its speed that a slow valve still has (fault `valve.slow`)."""
 NO_ROLLER = frozenset({"arm.lost", "arm.no_power"})
-"""The roller is on the arm's bus, and has its supply."""
+"""Faults that stop the roller: it is on the arm's bus and has the arm's supply."""
 STUCK_S = 2.5
-"""A valve that was told to move for this long, in all, and has not, is stuck."""
+"""A valve is stuck if it has had a command to move for this long in total, and has not moved."""
 DEAD_MAN_S = 0.3
-"""After this silence of the host the hand's controller closes the valve."""
+"""The hand's controller closes the valve if the host is silent for this long."""
 
 
 class SimulatedHand:
-    """The hand as the world moves it; see `scuhand_bt.devices.interfaces.Hand`."""
+    """The hand in the world; see `scuhand_bt.devices.interfaces.Hand`."""
 
     identity = ""
 
@@ -69,7 +69,7 @@ class SimulatedHand:
         "_seized_s",
         "knows_its_roller",
     )
-    """What the world's file keeps of it."""
+    """The attributes that the world's file keeps."""
 
     def __init__(self, spec: HandSpec, clock: Clock, mount_of: Callable[[float], Mount] | None = None) -> None:
         self.spec = spec
@@ -81,7 +81,7 @@ class SimulatedHand:
         self.cone_diameter_mm = MOUNTED_DIAMETER_MM
         self.knows_its_roller = True
         self.faults = Faults()
-        """What is wrong with it, in a simulation of faults."""
+        """Its active faults; the world replaces it by its own."""
         self._blocked_s = 0.0
         self._seized_s = -math.inf  # when its controller last closed the valve by itself
         self._was_faulty = self._was_lost = False
@@ -107,7 +107,7 @@ class SimulatedHand:
 
     @property
     def fault(self) -> SkillFailed | None:
-        """What is wrong with it now."""
+        """Its present fault; None if it is sound."""
         active = self.faults.active
         if not active:
             return None
@@ -213,7 +213,7 @@ class SimulatedHand:
 
     @property
     def is_active(self) -> bool:
-        """Something moves, vibrates or is open, or is about to."""
+        """Whether anything moves, vibrates or is open, or is about to."""
         return bool(
             self._servo_mm or self._commands or self.vibration or self._target_mm or self._morph or self._course
         )
@@ -225,38 +225,38 @@ class SimulatedHand:
 
     @property
     def felt_vibration(self) -> float:
-        """How much the motor shakes, 0..1, whatever it was told."""
+        """The real vibration, 0..1, whatever the command."""
         return 0.0 if "vibration.dead" in self.faults.active else self.vibration
 
     @property
     def is_closing(self) -> bool:
-        """The cone is getting smaller."""
+        """Whether the cone is getting smaller."""
         return self._closes or (self._morph is not None and self._morph[3] < self._morph[2])
 
     def shut(self, now_s: float) -> None:
-        """What the controller's dead-man does: the valve closes, whatever it was told, and vibration stops."""
+        """The controller's dead-man: close the valve, whatever the command, and stop the vibration."""
         self._commands.clear()
         self._command(0.0, now_s)
         self.vibration = 0.0
 
     def freeze(self) -> None:
-        """What a power cut does: the valve stays as it is, and vibration stops."""
+        """A power cut: the valve stays where it is, and the vibration stops."""
         self._commands.clear()
         self._target_mm = self._servo_mm
         self.vibration = 0.0
 
     def hold_sheet(self) -> None:
-        """What the roller's watchdog does: the sheet keeps its size."""
+        """The roller's watchdog: the sheet keeps its size."""
         self._morph = self._course = None
         self._closes = False
 
     def use_randomness(self, rng: np.random.Generator) -> None:
-        """Draw from this generator from now on; a new sample's standing error is drawn at once."""
+        """Draw from this generator from now on; draws the new sample's constant error at once."""
         self._rng = rng
         self._sample_error_mm = self.spec.simulation.sample_mm * rng.standard_normal()
 
     def advance(self, end_s: float, dt_s: float) -> float:
-        """Move for `dt_s`; the mean real opening [mm] over it."""
+        """Advance by `dt_s`; returns the mean real opening [mm] over it."""
         if self.faults.active or self._was_faulty:
             self._apply_faults(end_s - dt_s)
         if self._morph is not None:
@@ -291,7 +291,7 @@ class SimulatedHand:
         return opened_mm_s / dt_s
 
     def _way_in(self, dt_s: float, way_mm: float) -> float:
-        """How far the valve can go in this time, on its way."""
+        """How far the valve can move in this time."""
         step_mm = self.spec.valve_speed_mm_per_s * dt_s
         active = self.faults.active
         if not active or way_mm == 0.0:
@@ -304,7 +304,7 @@ class SimulatedHand:
         return step_mm * (SLOW if "valve.slow" in active else 1.0)
 
     def _apply_faults(self, now_s: float) -> None:
-        """What the controller does by itself in a fault; and tell of faults that come and go."""
+        """What the controller does by itself in a fault; fires `news` when a fault begins or ends."""
         active = self.faults.active
         seizing = [active[name] for name in ("hand.emergency_stop", "valve.no_power") if name in active]
         since_s = min(seizing, default=active.get("hand.lost", -math.inf) + DEAD_MAN_S)
@@ -312,7 +312,7 @@ class SimulatedHand:
             self._seized_s = now_s
             self.shut(now_s)
         if self._was_lost and not self._is_lost:
-            self.shut(now_s)  # as a controller does that is greeted anew
+            self.shut(now_s)  # as a controller does at a new connection
         self._was_lost = self._is_lost
         if NO_ROLLER & active.keys():
             self.hold_sheet()
@@ -374,5 +374,5 @@ class SimulatedHand:
             self.news.fire()
 
     def _rolled_mm(self, course: SomeAxes, time_s: float) -> float:
-        """The cone's rim where a course of the roller is at this time of it."""
+        """The rim's diameter at this time of a course of the roller."""
         return Cone.from_roller(math.degrees(float(course.sample(time_s)[0])), self.spec).diameter_mm

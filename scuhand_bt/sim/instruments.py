@@ -1,4 +1,4 @@
-"""The further devices of a simulated cell: as their Protocols say, on the run's clock, whoever's drivers they have."""
+"""The simulated further devices of a cell: they keep their Protocols on the run's clock, whatever their drivers."""
 
 from collections.abc import Callable, Mapping
 
@@ -10,14 +10,14 @@ from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.world import World
 
 PERIOD_S = 1.0
-"""Between two readings of a sensor, or of a code."""
+"""Time between two readings of a sensor or of a scanner."""
 SWITCHED_AFTER_S = {"ioniser": 0.5, "capper": 5.0}
 ROOM = {"temperature_c": 22.0, "humidity_percent": 45.0}
 """The air of a laboratory, by names with units; no world changes it."""
 
 
 class _Simulated:
-    """What they have in common: nothing is wrong with them."""
+    """What these devices have in common: they never have a fault."""
 
     fault = None
     is_stopped = True
@@ -27,7 +27,7 @@ class _Simulated:
         self._clock = clock
 
     def stop(self) -> None:
-        """It ends what it does."""
+        """Does nothing: a device ends what it does."""
 
     def health(self) -> dict[str, str]:
         return {"made by": "the simulation"}
@@ -78,7 +78,7 @@ class _Timed(Status):
 
 
 class SimulatedSwitch(_Simulated):
-    """An ioniser or a capper, which takes its time."""
+    """An ioniser or a capper; each takes a fixed time."""
 
     def __init__(self, clock: Clock, takes_s: float) -> None:
         super().__init__(clock)
@@ -103,7 +103,7 @@ class SimulatedSwitch(_Simulated):
 
 
 def simulated_instrument(kind: str, clock: Clock, world: World, options: object = None) -> Device:
-    """The device of a kind, in a world. A watcher of another driver than `boxes` sees nothing."""
+    """The device of a kind, in a world. A watcher with another driver than `boxes` sees nothing."""
     if kind == "watcher":
         return Boxes(clock, options.boxes if isinstance(options, Boxes.Options) else ())
     if kind == "sensor":

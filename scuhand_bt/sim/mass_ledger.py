@@ -1,4 +1,4 @@
-"""All the powder of a world: the compartments it can be in, and the one operation that moves it."""
+"""The ledger of a world's powder: the compartments it can be in, and the one operation that moves it."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -12,18 +12,18 @@ Kind: TypeAlias = Literal[
 
 
 class Compartment(NamedTuple):
-    """A place that powder can be in; of sources, containers and vessels there are many, each with a name."""
+    """A place that powder can be in. There are many sources, containers and vessels, each with a name."""
 
     kind: Kind
     name: str = ""
 
     def __str__(self) -> str:
-        """As the journal's `matter` entry and the world's file write it: `cone`, `source:NAME`."""
+        """As in the journal's `matter` entry and the world's file: `cone`, `source:NAME`."""
         return f"{self.kind}:{self.name}" if self.name else self.kind
 
     @classmethod
     def of_text(cls, text: str) -> "Compartment":
-        """What `str` has written. ValueError for what it never wrote."""
+        """The inverse of `str`. Raises ValueError for any other text."""
         kind, _, name = text.partition(":")
         for known in get_args(Kind):
             if kind == known:
@@ -35,7 +35,7 @@ CONE = Compartment("cone")
 SHEET = Compartment("sheet")
 """Stuck to the sheet."""
 FLIGHT = Compartment("flight")
-"""Fallen, and not landed yet."""
+"""In the air."""
 PAN = Compartment("pan")
 """On the balance, beside the container's mouth."""
 RETURNED = Compartment("returned")
@@ -44,7 +44,7 @@ WASTE = Compartment("waste")
 """The bin, and what leaves the cell with a sheet."""
 SPILLED = Compartment("spilled")
 BALANCE = Compartment("balance")
-"""Where powder falls to that will meet a mouth: it lands in the container that stands there then, or on the pan."""
+"""Powder in the air above a mouth. It lands in the container that then stands there, or else on the pan."""
 
 
 def in_source(name: str) -> Compartment:
@@ -63,23 +63,23 @@ def in_vessel(station: str) -> Compartment:
 
 
 class MassLedger:
-    """Masses in compartments that never go negative; only `transfer` changes them, and whoever refills a mortar."""
+    """Masses in compartments; none ever goes negative. Only `transfer` and `refill` change them."""
 
     def __init__(self, sources: Mapping[str, Source], vessels: Iterable[str] = ()) -> None:
         self.masses_mg: dict[Compartment, float] = dict.fromkeys(
             (CONE, SHEET, FLIGHT, PAN, RETURNED, WASTE, *map(in_vessel, vessels), SPILLED), 0.0
         )
-        """By compartment; those of containers come as the containers do."""
+        """By compartment; a container's is added with the container."""
         for name, source in sources.items():
             self.masses_mg[in_source(name)] = source.amount_mg
 
     @property
     def total_mg(self) -> float:
-        """All there is; the same at all times, but for what a mortar is refilled with."""
+        """The total mass; constant except for `refill`."""
         return math.fsum(self.masses_mg.values())
 
     def refill(self, source: str, mass_mg: float) -> None:
-        """More powder comes into the mortar of a source. ValueError for a source that there is none of, or no mass."""
+        """Add powder to a source's mortar. Raises ValueError for an unknown source or a mass that is not positive."""
         place = in_source(source)
         if place not in self.masses_mg:
             raise ValueError(f"there is no source '{source}'")
@@ -88,7 +88,7 @@ class MassLedger:
         self.masses_mg[place] += mass_mg
 
     def transfer(self, source: Compartment, target: Compartment, mass_mg: float) -> None:
-        """Move powder. ValueError for NaN, a negative mass, or more than there is."""
+        """Move powder. Raises ValueError for NaN, a negative mass, or more than there is."""
         there_mg = self.masses_mg[source]
         if not 0.0 <= mass_mg <= there_mg:
             raise ValueError(f"cannot move {mass_mg!r} mg from {source}, which holds {there_mg!r} mg")

@@ -1,6 +1,6 @@
-"""The mortars of a world while the cone is in one of them: what its powder does, on the ledger of masses.
+"""The mortars of a world: they move powder between mortar, cone and sheet on the mass ledger while the cone is in one.
 
-A bed (`scuhand_bt.sim.plant.Bed`) says what lies where; how much there is, the ledger alone knows.
+A bed (`scuhand_bt.sim.plant.Bed`) knows where the powder lies; only the ledger knows how much there is.
 """
 
 import math
@@ -19,7 +19,7 @@ from scuhand_bt.sim.under_the_cone import into_mortar
 from scuhand_bt.specs import Source
 
 STICKING_SHARE = 0.02
-"""Share of a scoop that touches bare sheet and sticks, until the sheet holds its residue."""
+"""The share of a scoop that sticks to the sheet, until the sheet holds its residue."""
 
 
 class Mortars:
@@ -29,7 +29,7 @@ class Mortars:
 
     def __init__(self, spec: CellSpec, sources: Mapping[str, Source], plant: Plant, ledger: MassLedger) -> None:
         self.inside: str | None = None
-        """The source whose mortar the cone, any part of it, is in."""
+        """The source whose mortar the cone is in, with any part of it."""
         self._carried_in_mg = 0.0
         self._sources, self._plant, self._ledger = sources, plant, ledger
         self._slant_mm = spec.hand.sheet_radius_mm
@@ -38,7 +38,7 @@ class Mortars:
 
     @property
     def kept(self) -> dict[str, Plain]:
-        """What lies where, by source."""
+        """The state of each bed, by source."""
         with self._plant.breaks_in("bed"):
             return {name: bed.kept for name, bed in self._beds.items()}
 
@@ -51,7 +51,7 @@ class Mortars:
                 self._bed(name).kept = kept
 
     def go(self, pose: ConePose, of: str | None) -> bool:
-        """The cone, which holds powder of source `of`, is here now; whether it has just left a mortar."""
+        """Move the cone, which holds powder of source `of`, here; returns whether it has just left a mortar."""
         was, self.inside = self.inside, self._around(pose)
         in_cone_mg = self._ledger.masses_mg[CONE]
         if was is not None and was != self.inside:
@@ -67,11 +67,11 @@ class Mortars:
         return False
 
     def lifted_mg(self) -> float:
-        """What the cone has more, having left a mortar, than it came with."""
+        """The mass that the cone has gained in the mortar it has just left."""
         return max(0.0, self._ledger.masses_mg[CONE] - self._carried_in_mg)
 
     def keep_of(self, name: str, lifted_mg: float, rng: Generator) -> None:
-        """The cone has left this source's mortar with so much: what the yield says stays in it, and sticks to it."""
+        """The cone has left this source's mortar with this gain: apply the scoop's yield, and let some stick."""
         ledger, place = self._ledger, in_source(name)
         there_mg = lifted_mg + ledger.masses_mg[place]
         powder = self._sources[name].powder
@@ -83,7 +83,7 @@ class Mortars:
         ledger.transfer(CONE, SHEET, min(room_mg, STICKING_SHARE * kept_mg, ledger.masses_mg[CONE]))
 
     def give_back(self, name: str, mass_mg: float) -> None:
-        """So much of what the cone has lifted is in its mortar again."""
+        """Return this mass from the cone to its mortar."""
         self._ledger.transfer(CONE, in_source(name), min(mass_mg, self._ledger.masses_mg[CONE]))
 
     def _move(self, name: str, pose: ConePose, of: str | None) -> None:
@@ -108,7 +108,7 @@ class Mortars:
         return self._beds[name]
 
     def _around(self, pose: ConePose) -> str | None:
-        """The source whose mortar some point of the cone is in: over its bore, below its edge."""
+        """The source whose mortar some point of the cone is in: within its bore, below its edge."""
         x_mm, y_mm, _ = pose.apex_mm.tolist()
         for name, bottom_mm in self._bottoms.items():
             mortar, (middle_x_mm, middle_y_mm, bottom_z_mm) = self._sources[name].mortar, bottom_mm
@@ -123,6 +123,6 @@ class Mortars:
 
 
 def _bottom_mm(spec: CellSpec, source: Source) -> tuple[float, float, float]:
-    """The bowl's lowest point, in the base's frame."""
+    """The bowl's lowest point, in the base frame."""
     x_mm, y_mm, z_mm = spec.stations[source.station].position_mm
     return x_mm, y_mm, z_mm + source.mortar.height_mm - source.mortar.depth_mm

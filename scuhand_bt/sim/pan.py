@@ -1,6 +1,6 @@
 """What stands on the balance: one container at a time, put there by hand or by the carousel's swing.
 
-A container that stood there before comes back with what it holds, and with an empty mass of its own.
+A container that comes back still has its content and its own empty mass.
 """
 
 from collections.abc import Callable
@@ -20,31 +20,31 @@ WRONG_MASS = 0.2
 """How much heavier a wrong container is, as a share; at least three tolerances."""
 
 Known = tuple[dict[str, Any], float, float]
-"""A container's fields, its empty mass [mg] and what it holds [mg]."""
+"""A container's fields, its empty mass [mg] and its content [mg]."""
 
 
 class Pan:
     """The pan, and every container that has stood on it or is about to."""
 
     STATE: ClassVar[tuple[str, ...]] = ("container_id", "_swing", "_gone", "_strangers")
-    """What the world's file keeps of it, beside the masses, and the containers in the file's log."""
+    """The attributes that the world's file keeps, beside the masses, and the containers in the file's log."""
 
     def __init__(self, ledger: MassLedger, seed: int, faults: Faults) -> None:
         self.container_id: str | None = None
         self.news = Signal()
         """Fires at the end of a swing."""
         self.log: Callable[[Known], None] = lambda known: None
-        """Told of a container that comes, and again of what it holds when it goes: meanwhile only it can change."""
+        """Called for a container that comes, and again when it goes; its content can change only in between."""
         self._ledger, self._seed, self._faults = ledger, seed, faults
         self._containers: dict[str, tuple[Container, float]] = {}
         self._empty_mg = 0.0
         self._inside: Compartment | None = None
-        self._gone: list[str] = []  # containers that a hand has carried off, or that were knocked over
-        self._strangers: list[str] = []  # containers that are not those they were
+        self._gone: list[str] = []  # containers that somebody carried off, or that were knocked over
+        self._strangers: list[str] = []  # containers that were exchanged for others
         self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
 
     def place(self, container: Container, now_s: float) -> None:
-        """Put a container on the pan, unless a hand has carried it off."""
+        """Put a container on the pan, unless somebody has carried it off."""
         if self.container_id is not None:
             raise ValueError(f"'{self.container_id}' stands on the pan")
         self._know(container, now_s)
@@ -52,13 +52,13 @@ class Pan:
             self._put(container.id)
 
     def remove(self) -> None:
-        """Take the container, and what it holds, off the pan."""
+        """Take the container with its content off the pan."""
         if self.container_id is not None:
             self.log(self._known(self.container_id))
         self._put(None)
 
     def swing(self, now_s: float, until_s: float, container: Container | None) -> None:
-        """The carousel swings; at its end this container stands on the pan, or what stood there is gone."""
+        """Start a swing of the carousel; at its end this container stands on the pan, or the pan is clear."""
         if container is not None:
             self._know(container, now_s)
         self._swing = (until_s, container.id if container is not None else None)
@@ -69,7 +69,7 @@ class Pan:
 
     @property
     def swing_ends_s(self) -> float:
-        """When the carousel's swing ends; long ago if it stands still."""
+        """The end of the carousel's swing; 0 if it stands still."""
         return self._swing[0] if self._swing is not None else 0.0
 
     def advance(self, end_s: float) -> None:
@@ -84,7 +84,7 @@ class Pan:
         self.news.fire()
 
     def knock_over(self) -> None:
-        """What stands here, and what the carousel brings, falls with all that it holds."""
+        """The container on the pan, and the one the carousel brings, fall with their content."""
         brought = self._swing[1] if self._swing is not None else None
         for container_id in (self.container_id, brought):
             if container_id is not None and container_id not in self._gone:
@@ -97,18 +97,18 @@ class Pan:
     # --- in an outage ---
 
     def end_swing(self) -> None:
-        """The carousel goes home: what it was bringing is in its slot again."""
+        """The carousel goes home: the container it was bringing is in its slot again."""
         self._swing = None
 
     def carry_off(self) -> None:
-        """A hand takes the container away, and what it holds."""
+        """Somebody takes the container away with its content."""
         if self.container_id is not None:
             self._gone.append(self.container_id)
             self._exchange(*self._containers[self.container_id])
             self._put(None)
 
     def exchange(self, rng: np.random.Generator) -> None:
-        """A hand puts an empty container of the same kind in the place of the one on the pan."""
+        """Somebody exchanges the container on the pan for an empty one of the same kind."""
         if self.container_id is not None:
             container, _ = self._containers[self.container_id]
             self._strangers.append(container.id)
@@ -117,11 +117,11 @@ class Pan:
 
     @property
     def is_exchanged(self) -> bool:
-        """Whether the container that stands here is not the one that is thought to."""
+        """Whether the container on the pan is not the one that the run knows."""
         return self.container_id in self._strangers
 
     def _exchange(self, container: Container, empty_mg: float) -> None:
-        """What the container held is gone from now on, and its empty mass is this."""
+        """The container's content is gone from now on, and this is its empty mass."""
         self._ledger.transfer(in_container(container.id), WASTE, self._ledger.masses_mg[in_container(container.id)])
         self._containers[container.id] = container, empty_mg
         self.log(self._known(container.id))
@@ -129,7 +129,7 @@ class Pan:
     # --- what the balance and the falling powder meet ---
 
     def gross_mg(self, landing_mg: float) -> float:
-        """What the balance carries without `landing_mg` of it [mg]."""
+        """The load on the balance [mg], without `landing_mg` of it."""
         masses_mg = self._ledger.masses_mg
         on_pan_mg = self._empty_mg + masses_mg[PAN] - landing_mg
         return on_pan_mg if self._inside is None else on_pan_mg + masses_mg[self._inside]
@@ -140,7 +140,7 @@ class Pan:
         return self._containers[self.container_id][0].mouth_mm if self.container_id is not None else 0.0
 
     def land(self, mass_mg: float, density_mg_per_mm3: float) -> None:
-        """Let powder from the air fall into the container's mouth; what it has no room for lies beside it."""
+        """Land powder from the air in the container; what exceeds its capacity lies on the pan."""
         if self.container_id is not None and self._inside is not None:
             into = self._inside
             capacity_mg = self._containers[self.container_id][0].capacity_mm3 * density_mg_per_mm3
@@ -152,12 +152,12 @@ class Pan:
     # --- for the world's file ---
 
     def log_all(self) -> None:
-        """Tell of every container again."""
+        """Log every container again."""
         for container_id in self._containers:
             self.log(self._known(container_id))
 
     def recall(self, containers: list[Known]) -> None:
-        """Know these containers, as they were when they last came or went."""
+        """Restore these containers as they were last logged."""
         for fields, empty_mg, mass_mg in containers:
             container = Container.model_validate(fields)
             self._containers[container.id] = (container, empty_mg)
@@ -186,6 +186,6 @@ class Pan:
 
 
 def _empty_mass_mg(container: Container, rng: np.random.Generator) -> float:
-    """One container's own empty mass, drawn."""
+    """One container's own empty mass, drawn at random."""
     spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
     return max(1.0, container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0)))

@@ -1,12 +1,12 @@
-"""A simulated object's state as JSON, and back: reading it makes data, never an object of a class that a file names.
+"""A simulated object's state as JSON, and back. Reading makes only data, never an object of a class that a file names.
 
-    number, text, true, false, null, list      as they are
+    number, text, true, false, null, list      unchanged
     {KIND: …}                                  all else: `tuple`, `dict`, `set`, `deque`, `bytes`, numpy's `array` and
                                                `generator`, the balance's `reading`, `object`, and `spec`
 
-An object is written as its class and its attributes. It is read onto one that the program has made itself, at the same
-place and of the same class: so a plant of somebody else's needs no method for it, as long as its attributes are data.
-What the lab says (a `Spec`) never changes, and is not written.
+An object is written as its class and its attributes. Reading sets them on an object of the same class that the program
+has made itself at the same place. So a user's plant needs no method for it, as long as its attributes are data. The
+lab's description (a `Spec`) never changes, and is not written.
 """
 
 from collections import deque
@@ -24,15 +24,15 @@ from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.specs import Spec
 
 Plain: TypeAlias = Any
-"""What `json` writes and reads."""
+"""Whatever `json` writes and reads."""
 
 
 class Misplaced(Exception):  # noqa: N818 - it says what was found
-    """State that has no place here."""
+    """State that does not fit the objects it is read onto."""
 
 
 def written(value: object) -> Plain:
-    """A value as JSON's. Raises TypeError for what is no data: a function, a file, an object of C."""
+    """A value as JSON data. Raises TypeError for what is not data: a function, a file, an object of a C extension."""
     kind = type(value)
     if kind in _AS_THEY_ARE:
         return value
@@ -49,15 +49,15 @@ def written(value: object) -> Plain:
 
 
 def written_all(values: Iterable[object]) -> list[Plain]:
-    """Each of them as JSON's; most are numbers, and cost nothing."""
+    """Each of them as JSON data, with a short cut for numbers, which most of them are."""
     return [value if type(value) in _AS_THEY_ARE else written(value) for value in values]
 
 
 def read(plain: Plain, onto: Any = None) -> Any:
-    """The value that was written; objects are read onto what stands at their place, `onto`.
+    """The value that was written; objects are read onto `onto`, the object at their place.
 
-    A dataclass is a value, which others may have too: its copy is changed. Raises Misplaced for an object that
-    `onto` is not, and LookupError, TypeError or ValueError for what was never written.
+    A dataclass may be shared as a value, so a copy of it is changed. Raises Misplaced if `onto` is not of the object's
+    class; LookupError, TypeError or ValueError for data that `written` never makes.
     """
     if isinstance(plain, list):
         there = onto if isinstance(onto, list) and len(onto) == len(plain) else [None] * len(plain)
@@ -69,7 +69,7 @@ def read(plain: Plain, onto: Any = None) -> Any:
 
 
 def _class_of(value: object) -> str:
-    kind: Any = type(value)  # which mypy does not take for hashable
+    kind: Any = type(value)  # mypy takes a type for unhashable
     return _name_of(kind)
 
 
@@ -133,7 +133,7 @@ def _reading(value_mg: float, stable: bool, time_s: float, unit: str, raw: str) 
 
 
 def _written_generator(generator: Generator) -> Plain:
-    """Of our own bit generator, its numbers in hexadecimal: two have 128 bits, which take JSON long to write."""
+    """For our own bit generator, its numbers in hexadecimal: JSON is slow with integers of 128 bits."""
     state = generator.bit_generator.state
     if state["bit_generator"] != "PCG64":
         return {"generator": written(state)}

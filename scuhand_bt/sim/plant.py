@@ -1,7 +1,8 @@
-"""The seams of the simulated physics: what a plant named by `--plant module:Class` may replace.
+"""The replaceable parts of the simulated physics: what a plant named by `--plant module:Class` may offer.
 
 The class is built without arguments and offers any of `flow(powder)`, `balance(spec)`, `scoop(powder)` and
-`bed(mortar, powder, slant_mm)`; what it does not offer is ours. What draws gets the generator that it must draw from.
+`bed(mortar, powder, slant_mm)`. Ours replace what it does not offer. Random draws must come from the generator passed
+in.
 """
 
 import importlib
@@ -32,54 +33,55 @@ class PowderFlow(Protocol):
 
 
 class BalanceResponse(Protocol):
-    """From mass on the pan to the reading, before it is rounded to the readability."""
+    """From the mass on the pan to the reading, before it is rounded to the readability."""
 
     def step(self, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float, rng: Generator) -> float:
-        """The reading [mg]. `on_pan_mg` is the settled gross without `landing_mg`, which lands in this step."""
+        """The reading [mg]. `on_pan_mg` is the gross mass without `landing_mg`, which lands in this step."""
         ...
 
 
 class Bed(Protocol):
-    """The powder of one mortar, and of the cone while that is in it; what lies where is all that it remembers."""
+    """The powder of one mortar, and in the cone while that is inside; it remembers only where the powder lies."""
 
     kept: Any
-    """What lies where, as what `json` writes and reads: set on a new bed, it is as the other was."""
+    """Its state, as data that `json` writes and reads; set on a new bed, it restores the old one."""
 
     def move(
         self, apex_mm: Floats, axis: Floats, rim_mm: float, in_mortar_mg: float, in_cone_mg: float
     ) -> tuple[float, float]:
-        """The cone is here now: the mass [mg] that it has gained (less than 0: lost), and that is over the edge.
+        """Move the cone here; returns the mass [mg] that it gained (negative: lost), and the mass gone over the edge.
 
-        Apex (3,) from the bowl's lowest point, z up; axis (3,), a unit vector from there up out of the mouth; the
-        rim's diameter. `in_mortar_mg` and `in_cone_mg` are what there was until now.
+        Apex (3,) from the bowl's lowest point, z up; axis (3,), unit vector from the apex out of the mouth; `rim_mm`
+        is the rim's diameter. `in_mortar_mg` and `in_cone_mg` are the masses before this motion.
         """
         ...
 
     def leave(self) -> float | None:
-        """The cone has left the mortar, with what it holds: the mass [mg] that then goes over the edge, if any."""
+        """The cone has left the mortar with its load; returns the mass [mg] that then goes over the edge, if any."""
         ...
 
 
 class ScoopYield(Protocol):
-    """Chance in what one scoop collects."""
+    """The random part of what one scoop collects."""
 
     def collect(self, lifted_mg: float, there_mg: float, rng: Generator) -> float:
-        """The mass [mg] that stays in a cone which has lifted so much out of a mortar with so much in all."""
+        """The mass [mg] that stays in a cone that has lifted `lifted_mg` out of a mortar with `there_mg` in all."""
         ...
 
 
 BREAKS = (Exception, SystemExit)
-"""How somebody's code ends that breaks: one that exits would else end the run as if all had been done."""
+"""How a user's code may fail. SystemExit is among them: else a plant that exits would end the run as if it were
+done."""
 ROUNDING = 1e-6
-"""Share of a mass that sums of its parts may be off by."""
+"""Relative rounding error allowed for sums of masses."""
 
 
 class PlantError(Exception):
-    """A plant that cannot be used, or that returned what cannot be; the text names the plant."""
+    """A plant that cannot be used, or that returned an impossible value; the text names the plant."""
 
 
 class Plant:
-    """The physics of one run: the named class's where it offers a seam, ours elsewhere."""
+    """The physics of one run: the user's class where it offers a part, ours elsewhere."""
 
     def __init__(self, theirs: object | None = None, name: str = "our plant") -> None:
         self.name = name
@@ -107,7 +109,7 @@ class Plant:
         return made
 
     def probe(self, powder: Powder, spec: BalanceSpec, mortar: Mortar | None = None) -> None:
-        """Try every seam once, on objects that are then thrown away, so that a bad plant fails before a run.
+        """Try every part once, on objects that are then thrown away, so that a bad plant fails before the run.
 
         Raises PlantError for an exception, NaN, a negative mass or more than there is.
         """
@@ -141,7 +143,7 @@ class Plant:
 
     @contextmanager
     def breaks_in(self, seam: str) -> Iterator[None]:
-        """What breaks within is blamed on the plant; for what is done rarely, as each use of this costs time."""
+        """Blame exceptions within on the plant. For rare calls only: each use costs time."""
         try:
             yield
         except BREAKS as error:
@@ -149,24 +151,24 @@ class Plant:
             raise
 
     def blame(self, error: BaseException, seam: str) -> None:
-        """PlantError for what has broken while physics that are not ours went on by a step; nothing where they are."""
+        """Raises PlantError for an exception in a user's plant; does nothing if the physics are ours."""
         if self._theirs is not None and not isinstance(error, PlantError):
             raise PlantError(f"{self.name}: {type(error).__name__} in {seam}: {error}") from error
 
     def leaving(self, mass_mg: float, in_cone_mg: float) -> float:
-        """Let a sound flow through; PlantError otherwise."""
+        """Returns a possible flow unchanged; raises PlantError otherwise."""
         if 0.0 <= mass_mg <= in_cone_mg:
             return mass_mg
         raise PlantError(f"{self.name}: flow let {mass_mg!r} mg leave a cone that holds {in_cone_mg:.3f} mg")
 
     def reading(self, value_mg: float) -> float:
-        """Let a finite reading through; PlantError otherwise."""
+        """Returns a finite reading unchanged; raises PlantError otherwise."""
         if math.isfinite(value_mg):
             return value_mg
         raise PlantError(f"{self.name}: balance read {value_mg!r} mg")
 
     def collected(self, mass_mg: float, in_mortar_mg: float) -> float:
-        """Let a sound scoop through; PlantError otherwise."""
+        """Returns a possible scoop unchanged; raises PlantError otherwise."""
         if 0.0 <= mass_mg <= in_mortar_mg:
             return mass_mg
         raise PlantError(f"{self.name}: scoop took {mass_mg!r} mg from a mortar that holds {in_mortar_mg:.3f} mg")
@@ -174,7 +176,7 @@ class Plant:
     def moved(
         self, gained_and_lost: tuple[float, float], in_mortar_mg: float, in_cone_mg: float
     ) -> tuple[float, float]:
-        """Let a sound motion through a bed through; PlantError otherwise."""
+        """Returns a possible result of `Bed.move` unchanged; raises PlantError otherwise."""
         gained_mg, lost_mg = gained_and_lost
         slack_mg = ROUNDING * (in_mortar_mg + in_cone_mg)
         if -in_cone_mg - slack_mg <= gained_mg and lost_mg >= 0.0 and gained_mg + lost_mg <= in_mortar_mg + slack_mg:
@@ -190,7 +192,7 @@ class Plant:
 
 
 def probed_plant(name: str | None, sources: Iterable[Source], balance: BalanceSpec) -> Plant:
-    """The plant of this name, tried with these. PlantError as of `load_plant` and `Plant.probe`."""
+    """The plant of this name, probed with these. Raises PlantError as `load_plant` and `Plant.probe` do."""
     plant = load_plant(name)
     for source in sources:
         plant.probe(source.powder, balance, source.mortar)
@@ -198,7 +200,7 @@ def probed_plant(name: str | None, sources: Iterable[Source], balance: BalanceSp
 
 
 def load_plant(name: str | None) -> Plant:
-    """The plant of "module:Class", ours for None. PlantError says what is wrong with the name or the class."""
+    """The plant of "module:Class", ours for None. Raises PlantError for a wrong name or class."""
     if name is None:
         return Plant()
     module_name, colon, class_name = name.partition(":")

@@ -2,21 +2,21 @@
 
     Q = C' (D - kd)^2.5 * load * packing * (1 + noise) * head * mobility
 
-Beverloo's law (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15, 1961) with C' [mg s^-1 mm^-2.5] and dead
-diameter kd [mm] of the powder; D [mm] is the real opening. Around it:
+Beverloo's law (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15, 1961) with C' [mg s^-1 mm^-2.5] and dead diameter
+kd [mm] of the powder; D [mm] is the real opening. Around it:
 
-* load, packing: log-normal factors, one drawn per cone load and one per opening of the valve;
+* load, packing: log-normal factors, drawn per cone load and per opening of the valve;
 * noise: an Ornstein-Uhlenbeck fluctuation with a correlation time of 0.25 s;
-* head: the flow does not feel the head (Janssen) until the last `HEAD_MG` above what stays put. On a wall of
-  only 26 deg that is the heel, a share of the load, which vibration brings down;
-* mobility: gravity's share of the flow, the rest comes with vibration;
-* arches: the mass between two grows as exp((D/Da)^3) (Thomas & Durian, Phys. Rev. Lett. 114, 178001, 2015),
-  vibration breaks them (Janda et al., EPL 87, 2009), and so does the valve when it next opens;
-* surges: part of a cohesive powder comes in lumps, a Poisson process with exponential masses, whose mean
-  is fixed or grows with the gap, or, for who asks for it, with that mass each;
-* avalanches: crystals that are shaken through a narrow gap jam and give way again; between two jams an exponential
-  mass comes down (Zuriguel et al., Phys. Rev. E 71, 051303, 2005; Mankoc et al., Phys. Rev. E 80, 011309, 2009).
-  Their mean flow is that of the law; they take the place of surges, and without vibration there are none;
+* head: the flow does not depend on the head (Janssen) until the last `HEAD_MG` above the heel. The heel is the share
+  of the load that stays on a wall of only 26 deg; vibration brings it down;
+* mobility: gravity's share of the flow; vibration adds the rest;
+* arches: the mean mass between two arches grows as exp((D/Da)^3) (Thomas & Durian, Phys. Rev. Lett. 114, 178001,
+  2015). Vibration breaks them (Janda et al., EPL 87, 2009), and so does the next opening of the valve;
+* surges: part of a cohesive powder comes in lumps, a Poisson process with exponential masses. Their mean is fixed or
+  grows with the gap; with `equal_lumps` every lump has the mean mass;
+* avalanches: crystals shaken through a narrow gap jam and give way again; an exponential mass comes down between two
+  jams (Zuriguel et al., Phys. Rev. E 71, 051303, 2005; Mankoc et al., Phys. Rev. E 80, 011309, 2009). Their mean flow
+  is that of the law. Under vibration they replace the surges; without it there are none;
 * the slot: the space between the two sheets fills as the valve opens and is squeezed out as it closes.
 """
 
@@ -35,7 +35,9 @@ ARCH_BREAKS_PER_S = 6.0
 
 
 class OurPowderFlow:
-    """Powder leaving the apex; one object per cone load. `equal_lumps`: each lump of a surge has their mean mass."""
+    """Powder leaving the apex; one object per cone load. With `equal_lumps` each lump of a surge has their mean
+    mass.
+    """
 
     def __init__(self, powder: Powder, *, equal_lumps: bool = False) -> None:
         self._spec = powder.simulation
@@ -70,7 +72,7 @@ class OurPowderFlow:
     def _entering_mg(
         self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: Generator
     ) -> float:
-        """What enters the slot between the sheets from above."""
+        """The mass that enters the slot between the sheets from above."""
         spec = self._spec
         gap_mm = opening_mm - spec.dead_diameter_mm
         if gap_mm <= 0.0:
@@ -100,7 +102,7 @@ class OurPowderFlow:
 
 
 def _in_lumps(mass_mg: float, lump_mg: float, rng: Generator, *, equal: bool = False) -> float:
-    """What comes of this mass in a step, if it comes in lumps of exponential mass with this mean, or of equal mass."""
+    """The mass that comes in this step if a mean flow of `mass_mg` comes in lumps, of exponential or equal mass."""
     if mass_mg <= 0.0:
         return 0.0
     lump_mg = max(lump_mg, mass_mg)

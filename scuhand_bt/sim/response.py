@@ -1,13 +1,12 @@
-"""Our balance's response: from mass on the pan to the reading, before it is rounded to the readability.
+"""Our balance's response: from the mass on the pan to the reading, before it is rounded to the readability.
 
     u = m + dm + dm t_fall / dt        x1' = (u - x1) / tau,   x2' = (x1 - x2) / tau
     reading = x2 + zero + noise
 
-m [mg] lies on the pan, dm [mg] lands in this step from t_fall = 0.128 s (80 mm) of fall. The momentum of
-landing powder weighs as much as what is in flight: during steady flow the pan reads what has left the
-nozzle (the hourglass problem: Tuinstra & Tuinstra, Europhysics News 41/3, 2010). tau [s] is the time
-constant of each of two equal poles; `zero` a random walk; noise white, larger while the motor shakes the
-bench.
+m [mg] lies on the pan; dm [mg] lands in this step after a fall of t_fall = 0.128 s (80 mm). The momentum of landing
+powder weighs as much as the powder in flight. So during steady flow the pan reads what has left the nozzle (the
+hourglass problem: Tuinstra & Tuinstra, Europhysics News 41/3, 2010). tau [s] is the time constant of each of two equal
+poles. `zero` is a random walk; the noise is white, and larger while the motor shakes the bench.
 """
 
 import math
@@ -20,7 +19,7 @@ FALL_TIME_S = math.sqrt(2.0 * 0.080 / 9.81)
 
 
 class OurBalanceResponse:
-    """Two poles, a wandering zero, and noise."""
+    """Two poles, a random walk of the zero, and noise."""
 
     def __init__(self, spec: BalanceSpec) -> None:
         self._figures = spec.simulation
@@ -35,7 +34,7 @@ class OurBalanceResponse:
             self._dt_s = dt_s
             self._step = -math.expm1(-dt_s / figures.lag_s)
             self._walk = self._drift_mg * math.sqrt(dt_s / 60.0)
-        # The first step of all may be too short to divide by; nothing lands in it.
+        # The very first step may be too short to divide by; nothing lands in it.
         push_mg = on_pan_mg + landing_mg * (1.0 + FALL_TIME_S / dt_s) if landing_mg > 0.0 else on_pan_mg
         before = self._first
         self._first += (push_mg - before) * self._step

@@ -1,6 +1,6 @@
-"""Our scoop's chance: of what the bed's geometry lifts, a little more or less stays in the cone each time.
+"""The random part of our scoop: how much of what the bed lifts stays in the cone.
 
-collected = lifted * y * (1 + 0.05 n),   at most all there is;   n is normal, y is 1 unless another one is drawn
+collected = lifted * y * (1 + 0.05 n), at most all there is; n is standard normal; y is 1 unless the caller sets it
 """
 
 from numpy.random import Generator
@@ -11,7 +11,7 @@ SPREAD = 0.05
 
 
 class OurScoopYield:
-    """What the bed says, with its spread."""
+    """The bed's yield with a relative spread `SPREAD`."""
 
     def __init__(self, powder: Powder, yields: float = 1.0) -> None:
         self.powder, self.yields = powder, yields

@@ -1,7 +1,7 @@
-"""How a world's objects are kept in its file: the attributes that each one's class names in `STATE`.
+"""How the world's file keeps objects: the attributes that each class names in `STATE`.
 
-They are written as JSON (`plain_state.py`), so that a file from elsewhere is only data; what is none, in somebody's
-plant, cannot be saved. The log is a line for each record.
+They are written as JSON (`plain_state.py`), so that a file from elsewhere is only data. A user's plant with attributes
+that are not data cannot be saved. The log has one line per record.
 """
 
 import json
@@ -35,20 +35,20 @@ class Memory:
         self._tell: Callable[[str], None] = lambda why: None
 
     def add(self, objects: Sequence[Stateful]) -> None:
-        """These, too; before there is a file."""
+        """Add these objects; before there is a file."""
         self._getters += [(_values_of(thing.STATE), thing) for thing in objects]
 
     @property
     def is_kept(self) -> bool:
-        """There is a file."""
+        """Whether there is a file."""
         return self._file is not None
 
     def begin(self, path: Path, tell: Callable[[str], None]) -> None:
-        """Keep it in a new file. `tell` is told, at most once, why it cannot be saved after all."""
+        """Keep the state in a new file. If saving fails later, `tell` is called once with the reason."""
         self._file, self._tell = WorldFile.create(path, _json("it ended at once")), tell
 
     def take_up(self, path: Path, tell: Callable[[str], None]) -> tuple[Any, list[Any]]:
-        """Give the objects the state they had; returns what was saved beside it, and what was logged.
+        """Restore the objects' state from a file; returns what was saved beside it, and the log.
 
         Raises SourceError for a file that cannot be used. The file is kept from then on.
         """
@@ -67,12 +67,12 @@ class Memory:
                 setattr(thing, name, read(plain, getattr(thing, name)))
 
     def save(self, beside: object) -> None:
-        """Save the state of all, and this beside it."""
+        """Save the state of all objects, and `beside`."""
         assert self._file is not None
         try:
             values = [written_all(getter(thing)) for getter, thing in self._getters]
             state = _json([written(beside), values])
-        except Exception as error:  # of somebody's plant
+        except Exception as error:  # of a user's plant
             self._give_up(f"the state of {self._plant} cannot be written down ({type(error).__name__}: {error})")
             return
         try:
@@ -81,7 +81,7 @@ class Memory:
             self._give_up(f"its file cannot be written: {error.strerror}")
 
     def log(self, record: object) -> None:
-        """Keep what will not change any more, with the next state that is saved."""
+        """Append a record that will not change; it counts from the next `save` on."""
         if self._file is not None:
             try:
                 self._file.append(_json(written(record)) + b"\n")
@@ -89,7 +89,7 @@ class Memory:
                 self._give_up(f"its file cannot be written: {error.strerror}")
 
     def _give_up(self, why: str) -> None:
-        """What is in the file is older than what the run knows: nobody may go on from it."""
+        """Delete the file: it is older than what the run knows, so nobody may continue from it."""
         assert self._file is not None
         self._file.remove()
         self._file = None
@@ -102,7 +102,7 @@ class Memory:
 
 
 def look_into(path: Path) -> tuple[Any, list[Any]]:
-    """What was saved beside the objects' state, and what was logged; the file stays whose it is. SourceError."""
+    """What was saved beside the objects' state, and the log; leaves the file unchanged. Raises SourceError."""
     file, state, log = WorldFile.open(path)
     file.close()
     return _read(path, state, log, lambda values: None)
@@ -118,7 +118,7 @@ def _read(path: Path, state: bytes, log: bytes, give: Callable[[list[Plain]], No
         why = f"its world could not be saved: {kept}"
     except Misplaced as misplaced:
         why = str(misplaced)
-    except Exception as error:  # the file may hold anything, and a plant do anything
+    except Exception as error:  # the file may hold anything, and a plant may do anything
         why = f"it was written by another version of the program or the plant ({type(error).__name__}: {error})"
     raise broken(path, why)
 

@@ -1,13 +1,14 @@
-"""How much powder a leaning cone keeps, and how fast the rest goes over its rim.
+"""How much powder a leaning cone holds, and how fast the rest goes over its rim.
 
-The powder's surface may lean as much as its repose; so a cone that leans by theta from apparent gravity holds what a
-liquid would at tau = max(0, theta - repose). The liquid's plane goes through the lowest point of the rim (slant L) and
-cuts the generator across at l = L cos(alpha + tau) / cos(alpha - tau); the elliptic cone below it has the volume
+The powder's surface may lean by the angle of repose. So a cone that leans by theta from apparent gravity holds as much
+as a cone of liquid that leans by tau = max(0, theta - repose). The liquid's plane goes through the lowest point of the
+rim (slant L), and cuts the opposite generator at l = L cos(alpha + tau) / cos(alpha - tau). The elliptic cone below it
+has the volume
 
     V(tau) = V_level (l / L)^(3/2),   V_level = pi L^3 sin^2(alpha) cos(alpha) / 3,   0 from alpha + tau = 90 deg on
 
-And beyond theta = 90 deg - alpha + delta (delta: friction on the sheet) the lower side slopes so much that all slides.
-What is too much is gone with the time constant `POUR_TIME_S`. Angles in radians, lengths in mm.
+Beyond theta = 90 deg - alpha + delta (delta: friction on the sheet) the lower side is so steep that everything slides.
+The excess decays with the time constant `POUR_TIME_S`. Angles in radians, lengths in mm.
 """
 
 import math
@@ -21,13 +22,13 @@ from scuhand_bt.specs import Powder
 POUR_TIME_S = 0.15
 GRAVITY_MM_PER_S2 = 9810.0
 SHORTEST_S = 0.05
-"""Over less than this no acceleration is told: servos go by counts and in steps, and powder takes longer to flow."""
+"""The least time for which an acceleration is computed: servos move in steps, and powder reacts more slowly."""
 
 _UP = np.array([0.0, 0.0, GRAVITY_MM_PER_S2])
 
 
 def held_mm3(half_angle: float, slant_mm: float, lean: float, repose: float, wall_friction: float) -> float:
-    """The volume that stays in a cone that leans by so much."""
+    """The volume that a cone holds at this lean."""
     if lean >= math.pi / 2 - half_angle + wall_friction:
         return 0.0
     tau = max(0.0, lean - repose)
@@ -40,14 +41,14 @@ def held_mm3(half_angle: float, slant_mm: float, lean: float, repose: float, wal
 
 @dataclass
 class Carried:
-    """The apex on its way, as far as a load feels it."""
+    """The acceleration of the apex, as far as a load feels it."""
 
     _seen: tuple[float, Floats] | None = None
     _speed: tuple[float, Floats] | None = None
     _up: Floats = field(default_factory=_UP.copy)
 
     def lean(self, now_s: float, pose: ConePose) -> float:
-        """Between the cone's axis and apparent gravity's opposite, with the acceleration of the last three looks."""
+        """The angle between the cone's axis and apparent up, with the acceleration of the last three poses taken."""
         if self._seen is None:
             self._seen = (now_s, pose.apex_mm)
         elif now_s - self._seen[0] >= SHORTEST_S:
@@ -59,12 +60,12 @@ class Carried:
         return _between(pose.axis, self._up)
 
     def rest(self) -> None:
-        """It stands still."""
+        """The cone stands still."""
         self._seen, self._speed, self._up = None, None, _UP
 
 
 def poured_mg(held_mg: float, lean: float, pose: ConePose, powder: Powder, dt_s: float) -> float:
-    """What leaves a cone with such a load in such a time."""
+    """The mass that leaves a cone with this load in this time."""
     keeps_mg = powder.bulk_density_mg_per_mm3 * held_mm3(
         math.asin(pose.rim_mm / 2 / pose.slant_mm),
         pose.slant_mm,

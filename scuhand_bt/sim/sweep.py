@@ -1,6 +1,6 @@
-"""What a carousel sweeps on its way to the pan, and whether the cone is in there, whoever should have kept it out.
+"""Whether the cone is in the space that the carousel sweeps on its way to the pan.
 
-It knows of no lease and of no skill, so that a dry run shows what these have let happen.
+It knows of no lease and no skill, so that a dry run shows what these have let happen.
 """
 
 import math
@@ -13,14 +13,14 @@ from scuhand_bt.sim.cone_over import ConePose, Floats, Mask
 
 
 class Sweep:
-    """The zones of a cell that the pan is in."""
+    """The zones of a cell that contain the pan."""
 
     def __init__(self, spec: CellSpec) -> None:
         pan_mm = np.array([spec.station_of_kind("balance").position_mm])
         self._zones = [zone for zone in spec.zones if _from_above(zone, pan_mm).any()]
 
     def meets(self, cone: ConePose) -> bool:
-        """Whether a point of the cone's outline is in one."""
+        """Whether a point of the cone's outline is in one of them."""
         x_mm, y_mm, _ = cone.apex_mm.tolist()
         near = [zone for zone in self._zones if _aside_mm(zone, x_mm, y_mm) < cone.slant_mm]
         if not near:
@@ -30,7 +30,7 @@ class Sweep:
 
 
 def _aside_mm(zone: Obstacle, x_mm: float, y_mm: float) -> float:
-    """How far a point is from it seen from above, at least; 0 or less in it."""
+    """A point's horizontal distance from the zone, or less; 0 or negative within it."""
     x_mm, y_mm = x_mm - zone.at_mm[0], y_mm - zone.at_mm[1]
     if zone.box_mm is None:
         diameter_mm, _ = zone.cylinder_mm or (0.0, 0.0)
@@ -42,14 +42,14 @@ def _aside_mm(zone: Obstacle, x_mm: float, y_mm: float) -> float:
 
 
 def _at_height(zone: Obstacle, points_mm: Floats) -> Mask:
-    """(m,): which of the points (m, 3) are as high as it is."""
+    """(m,): which of the points (m, 3) are within the zone's height."""
     *_, height_mm = zone.box_mm or zone.cylinder_mm or (0.0,)
     at_height: Mask = np.abs(points_mm[:, 2] - zone.at_mm[2]) < height_mm / 2
     return at_height
 
 
 def _from_above(zone: Obstacle, points_mm: Floats) -> Mask:
-    """(m,): which of the points (m, 3) are in it seen from above."""
+    """(m,): which of the points (m, 3) are within the zone as seen from above."""
     aside_mm = (points_mm[:, :2] - zone.at_mm[:2]) @ (1.0, 1j)
     if zone.box_mm is None:
         diameter_mm, _ = zone.cylinder_mm or (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""What is around the cone: what powder falls onto."""
+"""What powder from the cone falls onto."""
 
 import math
 from collections.abc import Mapping
@@ -24,10 +24,10 @@ class Surroundings:
         self._vessels = {station.name for station in spec.vessels}
 
     def below(self, point_mm: Floats, mouth_mm: float, cone_source: str | None) -> tuple[Compartment, float]:
-        """What lies under a point (3,), and the fall time to it [s].
+        """The compartment under a point (3,) [mm], and the fall time to it [s].
 
-        `mouth_mm` is that container's, 0 without one; `cone_source` names the source of what falls, None while a fresh
-        sheet is still in its mortar.
+        `mouth_mm` is the container's mouth, 0 without one. `cone_source` is the source of the falling powder; None
+        while a new sheet is in its first mortar.
         """
         x_mm, y_mm, z_mm = point_mm.tolist()
 
@@ -54,9 +54,9 @@ class Surroundings:
 
 
 def into_mortar(sources: Mapping[str, Source], name: str, of: str | None) -> Compartment:
-    """Where powder of a source is that comes into the mortar of another one: in that only if it is of the same lot.
+    """The compartment of powder of source `of` that gets into this mortar: the mortar itself only for the same lot.
 
-    `of` is None while a fresh sheet is still in the mortar.
+    `of` is None while a new sheet is in its first mortar.
     """
     came_from = sources.get(of or name)
     is_same = came_from is not None and came_from.sheet_key == sources[name].sheet_key

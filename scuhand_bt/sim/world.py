@@ -1,10 +1,10 @@
 """The simulated world: its powder, what stands on the pan and what the cone holds, step by step.
 
-Everything that the powder does follows from the state of the devices; nothing here is a command. A step is 20 ms
-while anything moves, else one balance period.
+The powder reacts to the state of the devices only, never to commands. A step is at most 20 ms while anything moves,
+else it goes to the balance's next reading.
 
-A world may live in a file (`keep_in`, `save`), from which another process takes it up (`restore`) as it is
-some seconds after the first one was killed: by then the devices, which nobody spoke to, have come to rest.
+A world may be kept in a file (`keep_in`, `save`), from which another process resumes it (`restore`), some seconds of
+world time after the first process was killed. By then the devices, which nobody spoke to, have come to rest.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,15 +35,15 @@ STEP_S = 0.020
 SERVO_WATCHDOG_S = 0.1
 """After this silence the arm's servos and the roller stand still."""
 OUTAGE_S = 2.0
-"""Time that passes in the world at least, from the last word of a killed program to the first of the next one."""
+"""The least time that passes in the world between a killed program's last command and the next program's first."""
 LONGEST_OUTAGE_S = 10.0
-"""And at most: a valve that is stuck open stays it."""
+"""The most time that passes: a valve that is stuck open never comes to rest."""
 
 
 def masses_in(path: Path) -> dict[str, float]:
-    """What is in every compartment [mg], as `World.masses_mg`, of a world that lives in a file, whoever has it.
+    """The masses [mg] by compartment, as `World.masses_mg`, of the world in a file, even if another process has it.
 
-    Raises SourceError as of `World.restore`.
+    Raises SourceError as `World.restore` does.
     """
     (_, _, masses_mg), containers = look_into(path)
     found: dict[str, float] = {str(in_container(fields["id"])): held_mg for fields, _, held_mg in containers}
@@ -52,7 +52,7 @@ def masses_in(path: Path) -> dict[str, float]:
 
 
 class World:
-    """One bench's powder. `step` and `save` are what the virtual clock calls."""
+    """One bench's powder. The virtual clock calls `step` and `save`."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class World:
     ) -> None:
         self.faults = arm.faults = hand.faults = balance.faults = faults or Faults()
         self.now_s = 0.0
-        """The time it has come to."""
+        """The time it has advanced to."""
         self.ledger = MassLedger(sources, [station.name for station in spec.vessels])
         self.pan = Pan(self.ledger, seed, self.faults)
         mortars = Mortars(spec, sources, plant, self.ledger)
@@ -87,21 +87,21 @@ class World:
 
     @property
     def masses_mg(self) -> dict[str, float]:
-        """What is in every compartment [mg], by its text (`scuhand_bt.sim.mass_ledger`)."""
+        """The mass in every compartment [mg], by its text (`scuhand_bt.sim.mass_ledger`)."""
         return {str(compartment): mass_mg for compartment, mass_mg in self.ledger.masses_mg.items()}
 
     def true_mass(self, container_id: str) -> float:
-        """What is in this container [mg]."""
+        """The mass in this container [mg]."""
         return self.ledger.masses_mg.get(in_container(container_id), 0.0)
 
     @property
     def is_open(self) -> bool:
-        """Whether the valve is open, whatever it says itself."""
+        """Whether the valve is really open, whatever it reports."""
         return self._hand.gap_mm > 0.0
 
     @property
     def fault_account(self) -> list[dict[str, Any]]:
-        """The fault of each rule, and when it came [s]."""
+        """The fault of each rule, and when it began [s]."""
         return self.faults.account()
 
     # --- hands that act beside the robot ---
@@ -118,15 +118,15 @@ class World:
         self._balance.use_randomness(stream("balance"))
 
     def place(self, container: Container) -> None:
-        """Put a container on the pan; one that stood there before comes back with what it holds."""
+        """Put a container on the pan; one that stood there before still has its content."""
         self.pan.place(container, self.now_s)
 
     def remove(self) -> None:
-        """Take the container, and what it holds, off the pan."""
+        """Take the container with its content off the pan."""
         self.pan.remove()
 
     def swing(self, until_s: float, container: Container | None) -> None:
-        """The carousel swings; at its end this container stands on the pan, or what stood there is gone."""
+        """Start a swing of the carousel; at its end this container stands on the pan, or the pan is clear."""
         self.pan.swing(self.now_s, until_s, container)
 
     def load_cone(self, source: str, mass_mg: float) -> None:
@@ -135,18 +135,18 @@ class World:
         self.load.begin(source)
 
     def swap_sheet(self) -> None:
-        """A new sheet, as it is mounted: what stuck to the old one, and what was still in the cone, is thrown away."""
+        """Mount a new sheet; the powder on the old one and in the cone is thrown away."""
         self.load.throw_away()
         self._hand.rim_is(self._hand.spec.options.start_diameter_mm)
 
     def refill(self, source: str, mass_mg: float) -> None:
-        """Put more powder into the mortar of a source. ValueError as of `MassLedger.refill`."""
+        """Add powder to the mortar of a source. Raises ValueError as `MassLedger.refill` does."""
         self.ledger.refill(source, mass_mg)
 
     # --- time ---
 
     def step(self, now_s: float, limit_s: float) -> float:
-        """Go on by one step, not past `limit_s`; the new time."""
+        """Advance by one step, not past `limit_s`; returns the new time."""
         hand, arm, balance, load = self._hand, self._arm, self._balance, self.load
         self.faults.advance(now_s)
         end_s = balance.next_reading_s
@@ -167,7 +167,7 @@ class World:
         return end_s
 
     def _swing_on(self, now_s: float) -> None:
-        """The carousel hits a cone that is in its way, and what it has to do with falls."""
+        """The carousel swings; if the cone is in its way, the containers fall."""
         at, hand = self._arm.pose(now_s), self._hand
         cone = ConePose(1000.0 * at.position_m, at.axis, hand.cone_diameter_mm, hand.spec.sheet_radius_mm)
         if self._sweep.meets(cone):
@@ -176,13 +176,13 @@ class World:
     # --- outliving the program ---
 
     def keep_in(self, path: Path, tell: Callable[[str], None]) -> None:
-        """Live in a new file from now on. `tell` is told, at most once, why it cannot be saved after all."""
+        """Keep the world in a new file from now on. If saving fails later, `tell` is called once with the reason."""
         self._memory.begin(path, tell)
         self.pan.log_all()
         self.save()
 
     def restore(self, path: Path, tell: Callable[[str], None]) -> float:
-        """Take up the world of a file, and live in it: as it is after the outage. Returns the time then [s].
+        """Resume the world of a file, as it is after the outage, and keep it there. Returns the time then [s].
 
         Raises SourceError for a file that is missing, damaged, or of a world that could not be saved.
         """
@@ -195,25 +195,25 @@ class World:
         return self.now_s
 
     def save(self) -> None:
-        """Keep the world as it is now in its file, if it has one."""
+        """Save the world in its file, if it has one."""
         if not self._memory.is_kept:
             return
         joints = self._arm.held_at(self.now_s + SERVO_WATCHDOG_S)
         places = [*self._compartments]
-        if self.pan.container_id is not None:  # of the others the log has what they hold
+        if self.pan.container_id is not None:  # the content of all others is in the log
             place = in_container(self.pan.container_id)
             places.append((str(place), place))
         masses_mg = {text: self.ledger.masses_mg[compartment] for text, compartment in places}
         self._memory.save((self.now_s, joints, masses_mg))
 
     def close(self) -> None:
-        """Live in no file any more; what it is now is not saved."""
+        """Stop keeping the world in its file; does not save it."""
         self._memory.close()
 
     def _sit_out(self) -> None:
-        """What happens while nobody speaks to the devices: the valve stays as it is until its dead-man closes it.
+        """Simulate the outage: nobody speaks to the devices, until the dead-man closes the valve.
 
-        And what a power cut does to them (`outage.…` of the faults), whose end shuts the valve, too.
+        It includes what a power cut does (faults `outage.…`); its end shuts the valve, too.
         """
         hand, silent_s = self._hand, self.now_s
         cut = PowerCut(self.faults, silent_s, substream(self._seed, f"{silent_s:.4f}", 0, "outage"))

@@ -1,16 +1,15 @@
-"""The file that a simulated world lives in, so that a killed process leaves it as it was.
+"""The file of a simulated world: a killed process leaves it whole.
 
-    head   magic, bytes for a state, check sum
+    head   magic, size of a slot, check sum
     slot   check sum, generation, length of the state, length and check sum of the log up to it; the state
-    slot   the same; whichever is whole and younger counts
-    log    what cannot change any more, appended
+    slot   the same; of the two, the intact one with the higher generation counts
+    log    append-only records
 
-A state is written over the older slot of a memory map: however the process ends, the kernel keeps what was
-stored, and one slot is whole. Nothing is flushed to the disk, which would protect against a power cut: that
-ends the simulation's computer, and a real cell's world needs no file. A state that outgrows its slot goes to a new
-file, which then takes the old one's name.
+A state is written over the older slot through a memory map. However the process ends, the kernel keeps what was
+stored, and one slot is intact. Nothing is flushed to the disk: that would protect against a power cut, which ends the
+simulating computer too. A state that outgrows its slot goes to a new file, which then takes the old one's name.
 
-There is one world, as there is one cell: a process from which another has taken it over changes it no more.
+A world belongs to one process: once another has taken it over, the former can no longer change it.
 """
 
 import mmap
@@ -28,11 +27,11 @@ SUM = struct.Struct("<I")
 FIELDS = struct.Struct("<QIQI")
 SLOT_HEAD_BYTES = SUM.size + FIELDS.size
 SLOT_BYTES = 4096
-"""Of a new file's slots, for states of usual size."""
+"""The least size of a new file's slots; enough for usual states."""
 
 
 class WorldFile:
-    """A state, and a log that grows; `write` changes both at once. Raises OSError where the disk is full."""
+    """A state, and a log that grows; `write` commits both at once. Raises OSError if the disk is full."""
 
     def __init__(self, path: Path, generation: int = 0, log_bytes: int = 0, log_sum: int = 0) -> None:
         """For `create` and `open`."""
@@ -41,14 +40,14 @@ class WorldFile:
 
     @classmethod
     def create(cls, path: Path, state: bytes) -> "WorldFile":
-        """A new file with this state; it takes the place of one that is there."""
+        """A new file with this state; replaces an existing one."""
         made = cls(path)
         made._move(state, b"")
         return made
 
     @classmethod
     def open(cls, path: Path) -> "tuple[WorldFile, bytes, bytes]":
-        """The file, its state and its log; SourceError if it is not a world's file, or damaged."""
+        """The file, its state and its log. Raises SourceError if it is not a world's file, or is damaged."""
         try:
             content = path.read_bytes()
         except OSError as error:
@@ -72,7 +71,7 @@ class WorldFile:
         raise broken(path, "this file of a simulated world is damaged: no state in it is whole")
 
     def append(self, record: bytes) -> None:
-        """Add to the log; it counts from the next `write` on."""
+        """Append to the log; it counts from the next `write` on."""
         if self._is_overtaken:
             return
         os.pwrite(self._file, record, HEAD.size + 2 * self._slot_bytes + self._log_bytes)
@@ -80,7 +79,7 @@ class WorldFile:
         self._log_sum = crc32(record, self._log_sum)
 
     def write(self, state: bytes) -> None:
-        """Make this the state, and all of the log valid."""
+        """Commit this state, and the log up to here."""
         if self._is_overtaken:
             return
         if len(state) + SLOT_HEAD_BYTES > self._slot_bytes:
@@ -99,14 +98,14 @@ class WorldFile:
 
     @property
     def _is_overtaken(self) -> bool:
-        """Another process has written since: there is a whole state of a generation that is not ours yet."""
+        """Whether another process has written since: there is an intact state of a later generation than ours."""
         next_at = HEAD.size + (self._generation + 1) % 2 * self._slot_bytes + SUM.size
         if FIELDS.unpack_from(self._memory, next_at)[0] <= self._generation:
             return False
         return any(generation > self._generation for generation, _ in _whole_slots(self._memory, self._slot_bytes))
 
     def remove(self) -> None:
-        """Close it, and take it away, where it still has its place."""
+        """Close and delete the file."""
         self.close()
         with suppress(OSError):
             self._path.unlink()
@@ -116,11 +115,11 @@ class WorldFile:
         os.close(self._file)
 
     def _move(self, state: bytes, log: bytes) -> None:
-        """Into a new file with room for this state; it is whole before it gets its name."""
+        """Go to a new file with room for this state; it is complete before it gets its name."""
         slot_bytes = max(SLOT_BYTES, 2 * (len(state) + SLOT_HEAD_BYTES))
         new = self._path.with_name(f"{self._path.name}.new")
         file = os.open(new, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
-        # Zeros are written, not skipped: a full disk is then an error here and not the death of whoever maps it.
+        # Write the zeros: a full disk is then an error here, not a SIGBUS in the process that maps the file.
         os.write(file, HEAD.pack(MAGIC, slot_bytes, _head_sum(slot_bytes)) + bytes(2 * slot_bytes) + log)
         self._map(file, slot_bytes)
         self.write(state)
@@ -132,7 +131,7 @@ class WorldFile:
 
 
 def broken(path: Path, what: str) -> SourceError:
-    """Why a run cannot go on from this file."""
+    """The error for a file that no run can continue from."""
     return SourceError([Problem(Mark(str(path)), f"{what}; nothing can go on from it: begin anew")])
 
 
@@ -141,7 +140,7 @@ def _head_sum(slot_bytes: int) -> int:
 
 
 def _whole_slots(content: bytes | mmap.mmap, slot_bytes: int) -> list[tuple[int, int]]:
-    """(generation, where it begins) of every slot whose check sum holds."""
+    """(generation, offset) of every slot whose check sum is right."""
     found = []
     for begin in (HEAD.size, HEAD.size + slot_bytes):
         (checked,) = SUM.unpack_from(content, begin)

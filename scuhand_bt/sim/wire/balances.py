@@ -1,7 +1,6 @@
-"""Twins of the balances: A&D, MT-SICS, SBI and Shimadzu, each with its commands, formats and errors.
+"""Twins of the balances A&D, MT-SICS, SBI and Shimadzu, each with its commands, formats and errors.
 
-Sources: `docs/protocols/`. They know nothing of the drivers; what they share is the pan, and
-that a balance which says who it is says TWIN.
+Sources: `docs/protocols/`. They share nothing with the drivers. They share the pan, and the serial numbers say TWIN.
 """
 
 import re
@@ -15,16 +14,16 @@ from scuhand_bt.sim.wire.scene import twin_of
 
 CRLF = b"\r\n"
 STABLE_TIMEOUT_S = 30.0
-"""How long a command that waits for stability does so before the balance gives up."""
+"""A command that waits for stability gives up after this."""
 BOOT_S = 2.0
-"""From power to the first line; ours, manuals say only that it takes a moment."""
+"""From power-on to the first line; our assumption, as manuals name no time."""
 
 
 class PanLoad(Protocol):
-    """What lies on the balance: the simulated world, or a test's own."""
+    """The load on the balance: the simulated world's, or a test's own."""
 
     def gross_mg(self, now_s: float) -> float:
-        """What the load cell tells, not rounded."""
+        """The load cell's value [mg], not rounded."""
         ...
 
     def is_stable(self, now_s: float) -> bool: ...
@@ -32,7 +31,7 @@ class PanLoad(Protocol):
 
 @dataclass
 class StillPan:
-    """A pan on which things change only when told to."""
+    """A pan whose load changes only by assignment."""
 
     load_mg: float = 0.0
     stable: bool = True
@@ -48,7 +47,7 @@ class BalanceTwin(ABC):
     """What the four have in common: lines of commands, a stream of readings, zero, tare and range."""
 
     STATE: ClassVar[tuple[str, ...]] = ("unit", "period_s", "streaming", "zero_mg", "tare_mg")
-    """What the file of a world keeps of it."""
+    """The attributes that the world's file keeps."""
 
     def __init__(self, pan: PanLoad, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
         self.pan = pan
@@ -65,16 +64,16 @@ class BalanceTwin(ABC):
         self._waiting: list[tuple[bytes, float]] = []
         """Commands that wait for stability, and until when."""
         self._begins_s = float("-inf")
-        """When it has begun, after it was switched on."""
+        """The end of the boot after power-on."""
 
     def switch_on(self, now_s: float) -> None:
-        """Begin anew: what its menu does not keep is lost. What stands on the pan then, the world takes for nothing."""
+        """Start after power-on, without what the menu does not keep. The world takes the load on the pan as zero."""
         self._begins_s, self.adjusting_until_s = now_s + BOOT_S, now_s
         self.streaming, self.zero_mg, self.tare_mg, self._typed = False, 0.0, 0.0, b""
         self.cancel_waiting()
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
-        """Answer commands, and send what is due of a stream: whole lines."""
+        """Answer commands, and send the readings of a stream that are due: whole lines."""
         if now_s < self._begins_s:
             return []
         return self._say_now(data, now_s).splitlines(keepends=True)
@@ -102,7 +101,7 @@ class BalanceTwin(ABC):
         self._waiting.clear()
 
     def net_mg(self, now_s: float) -> float:
-        """What is displayed."""
+        """The displayed mass before rounding [mg]."""
         return self.pan.gross_mg(now_s) - self.zero_mg - self.tare_mg
 
     def is_stable(self, now_s: float) -> bool:
@@ -136,11 +135,11 @@ class BalanceTwin(ABC):
 
     @abstractmethod
     def waited(self, command: bytes, now_s: float) -> bytes:
-        """The reply to a command that has waited for stability, or given up waiting."""
+        """The reply to a command that has waited for stability, or has given up waiting."""
 
     @abstractmethod
     def reading(self, now_s: float) -> bytes:
-        """One line of the display."""
+        """One line with the displayed value."""
 
 
 class AndTwin(BalanceTwin):
@@ -156,7 +155,7 @@ class AndTwin(BalanceTwin):
         if command in (b"Q", b"SI"):
             return self.reading(now_s)
         if command in (b"S", b"\x1bP"):
-            return self.wait_for_stability(command, now_s + 1e9)  # for as long as it takes, silently
+            return self.wait_for_stability(command, now_s + 1e9)  # without a timeout
         if command == b"SIR":
             self.streaming = True
             return b""
@@ -201,7 +200,7 @@ class AndTwin(BalanceTwin):
 
 
 _PRESET = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) g")
-"""What a tare may be set to by `TA`."""
+"""The tare values that `TA` accepts."""
 
 
 class MtSicsTwin(BalanceTwin):
@@ -289,7 +288,7 @@ class MtSicsTwin(BalanceTwin):
 
 
 class SbiTwin(BalanceTwin):
-    """SBI with lines of 16 or 22 characters. Control commands are silent, tare only works when stable."""
+    """SBI with lines of 16 or 22 characters. Control commands are silent; tare and zero work only when stable."""
 
     def __init__(self, pan: PanLoad, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
         super().__init__(pan, readability_mg, maximum_mg)
@@ -299,7 +298,7 @@ class SbiTwin(BalanceTwin):
 
     def _say_now(self, data: bytes, now_s: float) -> bytes:
         out = super()._say_now(data, now_s)
-        # `ESC char` may come without a line end; one whose first letter begins a longer form may not.
+        # `ESC char` may come without a line end, unless the char begins a longer command.
         if self._typed[:1] == b"\x1b" and len(self._typed) == 2 and self._typed[1:] not in (b"x", b"k", b"s"):
             command, self._typed = self._typed, b""
             out += self.obey(command, now_s)
@@ -378,7 +377,7 @@ class ShimadzuTwin(BalanceTwin):
 
 
 def balance_twin(driver: str) -> type[BalanceTwin]:
-    """The twin of a balance's driver, the engine's or another package's. NotPluggable where it has none."""
+    """The twin for a balance driver, ours or another package's. Raises NotPluggable if there is none."""
     twin = twin_of("balance", driver)
     if not issubclass(twin, BalanceTwin):
         raise NotPluggable(f"'{twin.__name__}' is no BalanceTwin")

@@ -1,4 +1,4 @@
-"""All twins of one cell at once, backed by one simulated world that goes on in real time.
+"""All device twins of one cell, with one simulated world behind them that runs in real time.
 
     with WireBench(spec, sources, firmware, joints, clock) as bench:
         devices = connect_cell_devices(bench.spec, clock)
@@ -37,12 +37,12 @@ from scuhand_bt.sim.world import STEP_S
 from scuhand_bt.specs import Container, Source
 
 SWITCH_S = 0.0005
-"""How often Python's threads take turns: drivers, twins and the world share one interpreter here, and at its
-usual 5 ms a servo would be kept waiting."""
+"""Python's thread switch interval. Drivers, twins and the world share one interpreter, where the default of 5 ms would
+delay the servos."""
 
 
 class BenchScene:
-    """What the twins of the further devices meet: the air of a laboratory, and what stands on the world's pan."""
+    """What the twins of the further devices sense and change: the air of a laboratory, and the world's pan."""
 
     STATE: ClassVar[tuple[str, ...]] = ("kept",)
     air = ROOM
@@ -59,12 +59,12 @@ class BenchScene:
         return self._world.pan.container_id
 
     def stands_in(self, slot: int, container: Container) -> None:
-        """A person has filled the changer so."""
+        """A person has put this container into this slot of the changer."""
         self._in_slots[slot % self.slots] = container
 
     @property
     def kept(self) -> dict[int, dict[str, Plain]]:
-        """What stands in which slot, for the world's file."""
+        """The container in each slot, for the world's file."""
         return {slot: container.model_dump() for slot, container in self._in_slots.items()}
 
     @kept.setter
@@ -80,7 +80,7 @@ class BenchScene:
 class WirePan:
     """What the balance's twin weighs: the reading of the world's balance, once that world is saved.
 
-    So nobody has seen of a world what another process would not find in its file.
+    So no client sees a state that a later process would not find in the world's file.
     """
 
     def __init__(self, balance: SimulatedBalance) -> None:
@@ -97,7 +97,7 @@ class WirePan:
 
 
 def at_twins(spec: CellSpec, url_of: Callable[[str], str]) -> CellSpec:
-    """The description of a cell whose devices are twins, each at this port."""
+    """The description of a cell whose devices are twins, each at its port."""
     there = _with_twins(spec)
 
     def section(name: str) -> Any:
@@ -115,16 +115,16 @@ def at_twins(spec: CellSpec, url_of: Callable[[str], str]) -> CellSpec:
 
 
 def _with_twins(spec: CellSpec) -> list[str]:
-    """The devices of a cell that are at a cable: a changer may be a person's hands."""
+    """The devices of a cell that have a cable; a changer may be a person's hands."""
     return [name for name in spec.device_names if (spec.kind_of(name), spec.section(name).driver) not in UNWIRED]
 
 
 class WireBench:
     """The twins of one cell on pseudo-terminals, and their world; a context manager.
 
-    `firmware` is the lab's `robot/firmware`, `joints` where the arm stands [rad]. Raises NoCompiler where the
-    firmware cannot be built, PlantError for a plant that cannot be used. The ports are `arm`, `hand` and `balance` in
-    the folder `ports`, or somewhere else if that is None; `bench.spec` tells.
+    `firmware` is the lab's `robot/firmware`, `joints` where the arm stands [rad]. The ports are `arm`, `hand` and
+    `balance` in the folder `ports`, or in a temporary one for None; `bench.spec` has their names. Raises NoCompiler if
+    the firmware cannot be built, PlantError for a plant that cannot be used.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class WireBench:
         kind = balance_twin(spec.balance.driver)
         self._balance, self._hand, self._pan = balance, hand, WirePan(balance)
         twin = kind(self._pan, spec.balance.readability_mg, spec.balance.maximum_mg)
-        twin.period_s = spec.balance.period_s  # told oftener, a reading would pass for a display that stands still
+        twin.period_s = spec.balance.period_s  # a reading sent twice would look like a frozen display
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
         self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
         self.scene = BenchScene(self.world, spec.changer.slot_count)
@@ -162,7 +162,7 @@ class WireBench:
             )
             for name in _with_twins(spec)[3:]
         }
-        """The changer's, where it is none of the operator's hands, and the further devices', by name."""
+        """The twins of the changer (unless it is the operator's hands) and of the further devices, by name."""
         others = [server.twin for server in self.others.values() if hasattr(server.twin, "STATE")]
         self.world.lives_with([self.bus.twin, board.valve.line, twin, self.scene, *others])
         self.servers: dict[str, TwinServer[Any]] = {
@@ -197,9 +197,9 @@ class WireBench:
         self._running.close()
 
     def take_up(self, path: Path, tell: Callable[[str], None]) -> float:
-        """Be what the world of this file was, with all its twins; as `World.restore`.
+        """Resume the world of this file with all its twins; as `World.restore`.
 
-        But for the valve: the board, which begins anew, would have shut it when nobody spoke to it any more.
+        The valve starts shut, unless it is stuck open: the board would have shut it when nobody spoke to it any more.
         """
         now_s = self.world.restore(path, tell)
         if "valve.stuck_open" not in self.world.faults.active:
@@ -208,11 +208,11 @@ class WireBench:
 
     @property
     def rim_mm(self) -> float:
-        """How wide the cone's rim is."""
+        """The diameter of the cone's rim."""
         return self._hand.cone_diameter_mm
 
     def check(self) -> None:
-        """Raise, once, what has ended the world's thread: a plant may fail in the middle of a run."""
+        """Raises, once, the exception that has ended the world's thread, such as that of a plant."""
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure

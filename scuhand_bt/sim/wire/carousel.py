@@ -1,4 +1,4 @@
-"""The twin of the carousel: one servo on a line of its own, and the wheel that its shaft carries."""
+"""The twin of the carousel: one servo on a line of its own, and the wheel on its shaft."""
 
 from scuhand_bt.device_specs.changer import CarouselOptions
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
@@ -6,11 +6,11 @@ from scuhand_bt.sim.wire.scene import Scene
 from scuhand_bt.sim.wire.servo import Servo
 
 STANDS = 0.15
-"""So near to its place over the pan, in slots, a container stands on it alone."""
+"""A container stands on the pan alone within this distance, in slots, of its place."""
 
 
 class CarouselTwin(DynamixelTwin):
-    """It is delivered with the pan bare, before the first slot."""
+    """It starts with the pan clear, half a slot before the first slot."""
 
     STATE = (*DynamixelTwin.STATE, "slot")
 

@@ -1,4 +1,4 @@
-"""The bus twin: Dynamixel Protocol 2.0 packets in and out, for any number of servos on one line.
+"""The twin of a servo bus: Dynamixel Protocol 2.0, for any number of servos on one line.
 
 Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0".
 """
@@ -16,7 +16,7 @@ STATUS = 0x55
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
 BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
 BAUD_RATES = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-"""By a servo's register 8."""
+"""By the value of a servo's register 8."""
 BITS_PER_BYTE = 10
 RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR, LENGTH_ERROR = 1, 2, 3, 5
 MULTI_TURN_RESET = b"\x01DXL\x22"
@@ -43,12 +43,12 @@ def crc16(data: bytes, crc: int = 0) -> int:
 
 
 def stuffed(body: bytes) -> bytes:
-    """Instruction and parameters with every FF FF FD made FF FF FD FD."""
+    """Instruction and parameters, with every FF FF FD as FF FF FD FD."""
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 
 
 def packet(servo: int, instruction: int, parameters: bytes) -> bytes:
-    """A whole packet."""
+    """A complete packet."""
     body = stuffed(bytes([instruction]) + parameters)
     head = HEADER + bytes([servo]) + (len(body) + 2).to_bytes(2, "little")
     return head + body + crc16(head + body).to_bytes(2, "little")
@@ -74,7 +74,7 @@ class PacketReader:
             if len(self._rest) < 7 + length:
                 if (again := self._rest.find(HEADER, 4)) < 0:
                     return
-                self._rest = self._rest[again:]  # stuffing keeps a header out of a packet: this one broke off
+                self._rest = self._rest[again:]  # stuffing keeps headers out of packets, so this packet was cut off
                 continue
             whole, self._rest = self._rest[: 7 + length], self._rest[7 + length :]
             body = whole[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
@@ -90,11 +90,11 @@ class DynamixelTwin:
     def __init__(self, servos: Iterable[Servo]) -> None:
         self.servos = {servo.id: servo for servo in servos}
         self.missing: set[int] = set()
-        """Servos whose cable has come off."""
+        """Ids of servos whose cable is off."""
         self.doubles: list[Servo] = []
-        """Servos that were given the id of another: both obey, and nobody understands what they answer at once."""
+        """Servos with the id of another: both obey, and their simultaneous answers collide."""
         self.takes_time = True
-        """Whether a packet is told when its last byte has come; another may send it on byte by byte."""
+        """Whether a packet is given out only when its last byte would have come; False if the caller paces bytes."""
         self._reader = PacketReader()
         self._due: list[tuple[float, bytes]] = []
 
@@ -109,7 +109,7 @@ class DynamixelTwin:
             self.servos[servo_id].kept = kept
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
-        """Obey what came in; a status packet has come after its servo's return delay and its own time on the line."""
+        """Obey what came in; a status packet comes after its servo's return delay and its own time on the line."""
         for servo in (*self.servos.values(), *self.doubles):
             servo.step(now_s)
         for servo_id, instruction, parameters, intact in self._reader.feed(data):
@@ -147,14 +147,14 @@ class DynamixelTwin:
         return [*(self.servos[i] for i in ids if self._is_there(i, now_s)), *doubles]
 
     def _line_s(self, message: bytes) -> float:
-        """How long a packet takes on the line, all of whose servos are set to one rate."""
+        """The time that a packet takes on the line; all its servos have one baud rate."""
         if not self.takes_time:
             return 0.0
         rate = next(iter(self.servos.values())).table[8]
         return len(message) * BITS_PER_BYTE / BAUD_RATES[min(rate, len(BAUD_RATES) - 1)]
 
     def _renumber(self) -> None:
-        """A servo whose id was written answers to that from the next packet on."""
+        """A servo whose id was written answers to the new id from the next packet on."""
         servos = [*self.servos.values(), *self.doubles]
         if any(servo.id != servo.table[7] for servo in servos):
             self.servos, self.doubles = {}, []
@@ -168,7 +168,7 @@ class DynamixelTwin:
         return servo is not None and servo_id not in self.missing and not servo.is_silent(now_s)
 
     def _one(self, servo: Servo, instruction: int, parameters: bytes, now_s: float) -> tuple[int, bytes]:
-        """Carry out an instruction to one servo: error number and parameters of its status."""
+        """Carry out an instruction to one servo; returns error number and parameters of its status."""
         address = int.from_bytes(parameters[:2], "little")
         if instruction == PING:
             return NO_ERROR, bytes(servo.table[0:2]) + bytes([servo.table[6]])
@@ -210,7 +210,7 @@ class DynamixelTwin:
         answers = []
         for servo_id, address, size in wanted:
             if not self._is_there(servo_id, now_s):
-                break  # each one waits for the one before it
+                break  # each servo waits for the status of the one before it
             servo = self.servos[servo_id]
             servo.spoken_to(now_s)
             answers.append((servo, *servo.read(address, size, now_s)))
@@ -247,7 +247,7 @@ class DynamixelTwin:
 
 
 def fast_status(answers: list[tuple[int, int, bytes]]) -> bytes:
-    """The one packet that all servos write together: {error, id, data, CRC so far} each, not stuffed."""
+    """The one packet that all servos write together: {error, id, data, CRC so far} each, without stuffing."""
     length = 1 + sum(len(data) + 4 for _, _, data in answers)
     message = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([STATUS])
     for servo_id, error, data in answers:
@@ -257,9 +257,9 @@ def fast_status(answers: list[tuple[int, int, bytes]]) -> bytes:
 
 
 def crane_x7(ids: Sequence[int] = (2, 3, 4, 5, 6, 7, 8, 9)) -> list[Servo]:
-    """The servos of the arm, by default as it is delivered, and that of the hand's roller, if it has an id.
+    """The servos of the arm, with factory ids by default, and that of the hand's roller, if it has an id.
 
-    Windows: `rt-net/rt_manipulators_cpp`, `samples/samples03/config/crane-x7_links.csv` (Apache-2.0).
+    Position limits: `rt-net/rt_manipulators_cpp`, `samples/samples03/config/crane-x7_links.csv` (Apache-2.0).
     """
     windows = [(262, 3834), (1024, 3072), (262, 3834), (228, 2048), (262, 3834), (1024, 3072), (148, 3948)]
     arm = [Servo(ids[i], XM540 if i == 1 else XM430, 2048.0, window) for i, window in enumerate(windows)]

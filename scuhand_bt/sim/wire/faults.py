@@ -1,7 +1,7 @@
 """The faults of a simulated cell, as twins show them on their cables.
 
-What happens to powder (a clog, a leak, an empty scoop, a wrong container, a dead motor) and what a balance reads
-(a wandering zero, a draught, no stability, overload) come from the world behind the twins; the rest is here.
+The world behind the twins produces the faults of powder (a clog, a leak, an empty scoop, a wrong container, a dead
+motor) and of weighing (drift, draught, no stability, overload). The others are here.
 """
 
 import time
@@ -16,13 +16,13 @@ from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.sim.wire.servo import OVERLOAD_BIT, Servo
 
 FAULTY_SERVO = 4
-"""The servo that is blocked, hot or overloaded: joint 3."""
+"""The id of the servo that is blocked, hot or overloaded: joint 3."""
 NOISE = b"\xfe\x80?\x00~\xa5\r\n"
 MANY = 1_000_000
 
 
 class WireFaults:
-    """Lets the twins of one cell misbehave as its `Faults` say."""
+    """Makes the twins of one cell show its active `Faults`."""
 
     def __init__(
         self,
@@ -55,12 +55,12 @@ class WireFaults:
 
     @staticmethod
     def _supply(servos: Iterable[Servo], *, is_off: bool) -> None:
-        """Switch the supply of servos off or on; adapters and boards have their own, by USB."""
+        """Switch the supply of servos off or on; bus adapters and boards have USB power."""
         for servo in servos:
             (servo.cut_power if is_off else servo.restore_power)(time.monotonic())
 
     def apply(self) -> None:
-        """Make the twins show what is wrong now."""
+        """Make the twins show the active faults."""
         active = self._faults.active
         if "balance.garbage" in active:
             self._balance.say(NOISE)

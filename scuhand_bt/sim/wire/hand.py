@@ -1,6 +1,6 @@
-"""The hand's twin: the real firmware, compiled for this computer, on a valve's servo and a motor that are computed.
+"""The hand's twin: the real firmware, compiled for this computer, with a simulated valve servo and motor.
 
-The brain is `robot/firmware/host/brain.cpp`, built with the C++ compiler that is found (g++, clang++).
+The library is `robot/firmware/host/brain.cpp`, built with the C++ compiler that is installed (g++, clang++).
 """
 
 import ctypes
@@ -22,19 +22,19 @@ from scuhand_bt.sim.wire.servo import XC330, Servo
 
 REPLY_SIZE = 96
 BAUD_RATES = {0: 9_600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
-"""Of a servo, by its register 8 (ROBOTIS e-manual)."""
+"""By the value of a servo's register 8 (ROBOTIS e-manual)."""
 BAUD_OF_VALVE = 3
 BOOT_S = 1.0
-"""A Mega's bootloader waits so long for a new program before it begins the one it has."""
+"""A Mega's bootloader waits this long for a new program before it starts the present one."""
 ANSWER_WITHIN_S = 0.002
-"""The longest return delay, and some: the firmware here waits in no time of its own."""
+"""A little more than the longest return delay: the firmware does not wait in simulated time."""
 NOMINAL_MAP = HandOptions().valve_map
 
 Bytes: TypeAlias = "ctypes._Pointer[ctypes.c_uint8]"
 Exchange = ctypes.CFUNCTYPE(
     ctypes.c_size_t, ctypes.c_uint32, ctypes.POINTER(ctypes.c_uint8), ctypes.c_size_t, ctypes.POINTER(ctypes.c_uint8)
 )
-"""A packet for the valve's servo at a baud rate: what it answers, and how long that is."""
+"""Sends a packet to the valve's servo at a baud rate; writes the answer, and returns its length."""
 
 
 class NoCompiler(Exception):  # noqa: N818 - it reads as the sentence it is raised in
@@ -42,7 +42,7 @@ class NoCompiler(Exception):  # noqa: N818 - it reads as the sentence it is rais
 
 
 def compiler() -> str:
-    """The compiler that there is. Raises NoCompiler."""
+    """The path of the installed compiler. Raises NoCompiler."""
     if (found := shutil.which("g++") or shutil.which("clang++")) is None:
         raise NoCompiler("the hand's twin runs the real firmware and needs a C++ compiler: install g++")
     return found
@@ -50,7 +50,7 @@ def compiler() -> str:
 
 @cache
 def build_brain(firmware: Path) -> ctypes.CDLL:
-    """Compile the firmware as a library and load it; NoCompiler says why not."""
+    """Compile the firmware as a library and load it. Raises NoCompiler with the reason."""
     sources = [*sorted((firmware / "hand_controller").glob("*.cpp")), firmware / "host" / "brain.cpp"]
     with tempfile.TemporaryDirectory(prefix="hand-") as folder:
         library = Path(folder) / "brain.so"
@@ -78,7 +78,7 @@ def build_brain(firmware: Path) -> ctypes.CDLL:
 
 
 class Valve:
-    """The valve's servo on its line, and what the outlet really is at each of its positions."""
+    """The valve's servo on its line, and the real opening of the outlet at each of its positions."""
 
     def __init__(self, dead_time_s: float = 0.06, true_map: Sequence[ValvePoint] = NOMINAL_MAP) -> None:
         points = sorted((point.count, point.opening_mm) for point in true_map)
@@ -94,18 +94,18 @@ class Valve:
         return float(np.interp(self.servo.position, self._counts, self._openings_mm))
 
     def shut(self) -> None:
-        """Be shut at once, as a controller that nobody could see has left it."""
+        """Shut at once, as an unobserved controller has left it."""
         self.servo.position = self._shut_count
         self.servo.stand()
 
     def lets(self, *, open: bool | None = None, close: bool | None = None) -> None:
-        """Whether nothing is in the valve's way, as it opens or closes; None leaves that as it is."""
+        """Set whether the valve can open and can close; None leaves that unchanged."""
         up, down = (open, close) if self._rises else (close, open)
         self.servo.can_rise = self.servo.can_rise if up is None else up
         self.servo.can_fall = self.servo.can_fall if down is None else down
 
     def say(self, baud: int, data: bytes, now_s: float) -> bytes:
-        """Tell the servo something; what it answers by now. Nothing, if it listens at another baud rate."""
+        """Send data to the servo; returns its answer by now, nothing if it listens at another baud rate."""
         is_understood = BAUD_RATES[self.servo.table[8]] == baud
         return b"".join(self.line.hear(data if is_understood else b"", now_s))
 
@@ -119,12 +119,12 @@ class HandTwin:
         self.valve = Valve(valve_dead_time_s, true_map)
         self.emergency_stop = False
         self.is_powered = True
-        """Whether the board has power; without it the firmware stands still, and the valve goes on as it was told."""
+        """Whether the board has power. Without it the firmware stands still; the valve follows its last command."""
         self._begins_s = float("-inf")
         self._brain = build_brain(firmware)
         self._awake = threading.Lock()
-        """Held while the firmware runs: it is not taken away under itself."""
-        self._exchange = Exchange(self._ask_servo)  # kept: the brain calls it for as long as it lives
+        """Held while the firmware runs, so that it is not reset meanwhile."""
+        self._exchange = Exchange(self._ask_servo)  # keeps the callback alive as long as the library may call it
         self._self = self._brain.hand_new(self._exchange)
         self._now_s = 0.0
 
@@ -133,18 +133,18 @@ class HandTwin:
             self._brain.hand_delete(self._self)
 
     def reboot(self) -> None:
-        """The board's reset button: the firmware begins anew, the valve stays where it is."""
+        """The board's reset button: the firmware restarts, the valve stays where it is."""
         with self._awake:
             self._brain.hand_reset(self._self)
 
     def switch_on(self, now_s: float) -> None:
-        """The board has power again, and begins anew."""
+        """The board has power again, and boots."""
         self.reboot()
         self._begins_s, self.is_powered = now_s + BOOT_S, True
 
     @property
     def opening_mm(self) -> float:
-        """What the outlet really is."""
+        """The real opening of the outlet."""
         return self.valve.opening_mm
 
     @property
@@ -161,7 +161,7 @@ class HandTwin:
         self.valve.line.missing = set() if is_connected else {self.valve.servo.id}
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
-        """Let the valve move, and the firmware hear and act."""
+        """Let the valve move, and the firmware receive and act."""
         with self._awake:
             self._now_s = now_s
             self.valve.servo.step(now_s)

@@ -1,4 +1,4 @@
-"""The twin of a keyboard wedge: types the code of the container that stands before it, every second, and Enter."""
+"""The twin of a keyboard wedge: types the code of the container in front of it, every second, and Enter."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ _US = {
     for row, first in zip(rows, _FIRST, strict=True)
     for i, letter in enumerate(row)
 }
-"""The key of a character, and whether it takes shift. From linux/input-event-codes.h."""
+"""The key of a character, and whether it needs shift. From linux/input-event-codes.h."""
 ENTER, LEFT_SHIFT = 28, 42
 
 
@@ -27,7 +27,7 @@ def _stroke(code: int) -> bytes:
 
 
 def typed(text: str) -> bytes:
-    """The events of a text and Enter, as a keyboard sends them. KeyError for what it has no key for."""
+    """The events of a text and Enter, as a keyboard sends them. Raises KeyError for a character without a key."""
     said = b""
     for code, is_shifted in map(_US.__getitem__, text):
         stroke = _stroke(code)
@@ -45,7 +45,7 @@ class KeyboardWedgeTwin:
         self._next_s = 0.0
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
-        """Nothing is said to it."""
+        """The code of the container on the pan, when it is due; input is ignored."""
         code = self.scene.on_pan
         if code is None or not code.isascii() or now_s < self._next_s:
             return []

@@ -1,4 +1,4 @@
-"""Twins of devices that speak in lines: what they answer is theirs, the rest is here."""
+"""The base class of twins that speak in lines; a subclass provides the answers."""
 
 from abc import ABC, abstractmethod
 from typing import Any
@@ -7,7 +7,7 @@ from scuhand_bt.sim.wire.scene import Scene
 
 
 class LineTwin(ABC):
-    """A device that is told commands in lines, and may speak by itself."""
+    """A device that takes commands in lines, and may send lines by itself."""
 
     def __init__(self, options: Any, scene: Scene) -> None:
         self.options = options
@@ -15,7 +15,7 @@ class LineTwin(ABC):
         self._typed = b""
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
-        """Answer commands, and say what is due: whole lines."""
+        """Answer commands, and send what is due: whole lines."""
         *commands, rest = (self._typed + data).replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
         self._typed = rest[-64:]
         said = [self.answer(command, now_s) for command in commands]
@@ -23,8 +23,8 @@ class LineTwin(ABC):
 
     @abstractmethod
     def answer(self, command: bytes, now_s: float) -> bytes:
-        """The answer to a command, without its terminator; b"" for none."""
+        """The answer to a command (given without its terminator); b"" for none."""
 
     def unasked(self, now_s: float) -> bytes:
-        """What it says now by itself."""
+        """What it sends now by itself."""
         return b""

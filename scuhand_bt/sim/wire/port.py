@@ -1,4 +1,4 @@
-"""The plug that a twin speaks through: a pseudo-terminal under a lasting name, or a TCP socket.
+"""A twin's port: a pseudo-terminal under a lasting name, or a TCP socket.
 
 Both can be unplugged and plugged in again, as a cable can.
 """
@@ -18,15 +18,15 @@ class Port(Protocol):
 
     @property
     def url(self) -> str:
-        """What a client opens."""
+        """The port that a client opens."""
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come in, waiting for at most `timeout_s`; b"" if nothing did."""
+        """The data that has come in, waiting for at most `timeout_s`; b"" if there is none."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send; what nobody takes is lost, as on a wire."""
+        """Send; data that nobody reads is lost, as on a wire."""
         ...
 
     def plug(self) -> None: ...
@@ -54,13 +54,13 @@ class PtyPort:
         if self._ends is not None:
             return
         master, slave = os.openpty()
-        # Raw before anybody opens it: else the terminal echoes, and turns CR into LF. The slave stays
-        # open here, so that the master never sees an error when a client closes its end.
+        # Raw before any client opens it: else the terminal echoes, and turns CR into LF. The slave stays
+        # open here, so that the master sees no error when a client closes its end.
         tty.setraw(slave)
         os.set_blocking(master, False)
         self._ends = (master, slave)
         fresh = self._link.with_name(self._link.name + ".new")
-        fresh.unlink(missing_ok=True)  # of a process that was killed just there
+        fresh.unlink(missing_ok=True)  # left by a process that was killed here
         fresh.symlink_to(os.ttyname(slave))
         fresh.replace(self._link)
 
@@ -92,7 +92,7 @@ class PtyPort:
         return b""
 
     def write(self, data: bytes) -> None:
-        """Write to whoever reads; a full buffer (nobody does) drops the rest."""
+        """Write; if nobody reads and the buffer is full, the rest is lost."""
         if self._ends is not None:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._ends[0], data)
@@ -112,7 +112,7 @@ class SocketPort:
         return f"socket://127.0.0.1:{self._number}"
 
     def plug(self) -> None:
-        """Listen, on the same number as before an unplug."""
+        """Listen, on the same port number as before an unplug."""
         if self._listener is None:
             self._listener = socket.create_server(("127.0.0.1", self._number), backlog=1)
             self._number = self._listener.getsockname()[1]

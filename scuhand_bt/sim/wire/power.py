@@ -1,7 +1,7 @@
-"""The supplies of a cell of twins: what goes on without power, and what of it is forgotten when the power is back.
+"""The power supplies of a cell of twins: what works without power, and what is lost when it comes back.
 
-By `robot/hardware`: the arm's servos and the roller have one supply, the valve's servo another; the hand's board lives
-on its USB line, the balance and the carousel on adapters of their own.
+According to `robot/hardware`, the arm's servos and the roller have one supply, and the valve's servo another. The
+hand's board has USB power; the balance and the carousel have adapters of their own.
 """
 
 import time
@@ -17,7 +17,7 @@ ALL = "cell"
 
 
 class Supplies:
-    """Switches supplies by their names: `arm`, `valve`, `hand`, `balance`, others on servos; or all, as `cell`."""
+    """Switches supplies by name: `arm`, `valve`, `hand`, `balance`, other devices with servos; or all, as `cell`."""
 
     def __init__(
         self,
@@ -39,10 +39,10 @@ class Supplies:
                 self._switches[name] = _of_servos(server.twin.servos.values())
         self.names = (*self._switches, ALL)
         self.off: set[str] = set()
-        """What is without power now."""
+        """The supplies that are off now."""
 
     def switch(self, name: str, *, on: bool) -> None:
-        """Take a supply away, or give it back; nothing happens where it is so already. KeyError for none."""
+        """Switch a supply; does nothing if it is so already. Raises KeyError for an unknown name."""
         for one in self._switches if name == ALL else (name,):
             if (one in self.off) == on:
                 self._switches[one](on)

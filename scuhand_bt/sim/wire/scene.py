@@ -1,6 +1,6 @@
-"""Where the twins of a cell's further devices stand: what they sense, and what they do.
+"""The surroundings of the twins of a cell's further devices: what they sense, and what they change.
 
-A twin is made of the `options` of its device and of the scene; `hear` makes it speak (`sim/wire/server.py`).
+A twin is built from its device's `options` and the scene; `hear` makes it speak (`sim/wire/server.py`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,9 +15,9 @@ from scuhand_bt.sim.instruments import ROOM
 
 M = TypeVar("M", bound=BaseModel)
 LATENCY_S = 0.1
-"""A twin on a busy computer answers later than a servo does, and is not to be taken for one without power."""
+"""A twin on a busy computer answers later than a servo; this keeps it from looking like one without power."""
 AT_A_TWIN = {"latency_s": LATENCY_S, "bits": "8N1"}
-"""Options that are so at twins: a pseudo-terminal cannot be set to seven bits or parity twice."""
+"""Options that differ at twins: a pseudo-terminal cannot be set to seven bits or parity twice."""
 
 
 def at_a_twin(options: M) -> M:
@@ -26,7 +26,7 @@ def at_a_twin(options: M) -> M:
 
 
 class Scene(Protocol):
-    """What of the cell a twin meets."""
+    """What a twin senses and changes of the cell."""
 
     @property
     def air(self) -> Mapping[str, float]:
@@ -35,7 +35,7 @@ class Scene(Protocol):
 
     @property
     def slots(self) -> int:
-        """How many containers the changer holds."""
+        """The number of containers that the changer holds."""
         ...
 
     @property
@@ -45,17 +45,17 @@ class Scene(Protocol):
 
     @property
     def seen(self) -> Sequence[Seen]:
-        """What is in the cell that is none of it, for watchers."""
+        """Foreign objects in the cell, for watchers."""
         ...
 
     def bring(self, slot: int | None) -> None:
-        """The changer has put the container of this slot, from 0, on the pan; None: it has cleared the pan."""
+        """The changer has put the container of this slot (from 0) on the pan; None: it has cleared the pan."""
         ...
 
 
 @dataclass
 class StillScene:
-    """A scene of its own, on which things change only when told to."""
+    """A stand-alone scene that changes only by assignment, and `bring`."""
 
     air: dict[str, float] = field(default_factory=lambda: dict(ROOM))
     slots: int = 24
@@ -68,7 +68,7 @@ class StillScene:
 
 
 def twin_of(kind: str, driver: str) -> type[Any]:
-    """The class of a driver's twin. NotPluggable where it has none."""
+    """The class of a driver's twin. Raises NotPluggable if it has none."""
     name = driver_of(kind, driver).twin
     if not name:
         raise NotPluggable(f"'{driver}' names no twin: it cannot be rehearsed")

@@ -1,4 +1,4 @@
-"""Runs a twin in real time: bytes in, bytes out, and the misbehaviour it is told to show."""
+"""Runs a twin in real time at a port, with the communication faults that a test sets."""
 
 import threading
 import time
@@ -15,10 +15,10 @@ FLIP_STRIDE = 37
 
 
 class Twin(Protocol):
-    """A device as it is seen from its cable."""
+    """A device as seen from its cable."""
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
-        """Take what came in (perhaps nothing) and return the messages that are sent at this time."""
+        """Take the data that came in (perhaps none); returns the messages to be sent now."""
         ...
 
 
@@ -27,16 +27,16 @@ TwinT = TypeVar("TwinT", bound=Twin)
 
 @dataclass
 class Misbehaviour:
-    """What goes wrong with the next messages of a twin. Each count falls to zero as it is used up."""
+    """Faults of the next messages of a twin. Each count falls to zero as it is used up."""
 
     drop: int = 0
     garble: int = 0
     """Messages in which one bit is flipped."""
     flip_every: int = 0
-    """Of so many messages, one has a bit flipped, another bit each time; none if 0."""
+    """One of so many messages has a bit flipped, another bit each time; none if 0."""
     duplicate: int = 0
     delay: int = 0
-    """Messages that are sent `delay_s` later than they should be."""
+    """Messages that are sent `delay_s` late."""
     delay_s: float = 0.1
     split: int = 0
     """Messages whose second half comes `delay_s` after the first."""
@@ -45,7 +45,7 @@ class Misbehaviour:
     _sent: int = field(default=0, init=False)
 
     def disturb(self, message: bytes, now_s: float) -> list[tuple[float, bytes]]:
-        """What is sent instead of a message, and when."""
+        """What is sent in place of a message, and when."""
         if self._takes("drop"):
             return []
         if self._takes("garble"):
@@ -79,7 +79,7 @@ class TwinServer(Generic[TwinT]):
         self.port = port
         self.misbehaviour = Misbehaviour()
         self.paused = False
-        """True while the twin is deaf and dumb (hung, or its power is off)."""
+        """True while the twin neither receives nor sends (hung, or without power)."""
         self._now = now
         self._due: list[tuple[float, bytes]] = []
         self._plugging = threading.Lock()
@@ -112,7 +112,7 @@ class TwinServer(Generic[TwinT]):
             self.port.plug()
 
     def say(self, message: bytes) -> None:
-        """Send something the twin would not send by itself."""
+        """Send a message that the twin would not send by itself."""
         with self._plugging:
             self.port.write(message)
 
@@ -120,7 +120,7 @@ class TwinServer(Generic[TwinT]):
         while not self._closing.is_set():
             with self._plugging:
                 self._go_on()
-            time.sleep(0.0002)  # lets go of the lock for long enough that others get it
+            time.sleep(0.0002)  # releases the lock long enough for other threads to take it
 
     def _go_on(self) -> None:
         data = self.port.read(TICK_S)

@@ -1,7 +1,7 @@
 """One servo of the bus twin: its control table, its locks and limits, and its motion in time.
 
-Source: ROBOTIS e-manual of XM430-W350, XM540-W270 and XC330-T288, and Protocol 2.0. Written from the
-tables, not from the driver, so that a mistake in one does not hide in the other.
+Source: ROBOTIS e-manual of XM430-W350, XM540-W270 and XC330-T288, and Protocol 2.0. Written from the tables, not from
+the driver, so that a mistake in one does not hide in the other.
 """
 
 import math
@@ -15,20 +15,20 @@ ALERT = 0x80
 TABLE_SIZE = 1024
 EEPROM_END = 64
 PRESENT = range(120, 168)
-"""Read-only, as are the model number, the firmware and what `READ_ONLY` names."""
+"""Read-only, as are the model number, the firmware version and the others in `READ_ONLY`."""
 READ_ONLY = frozenset((*range(7), 69, 70, *PRESENT))
 GOALS = range(100, 120)
 OVERLOAD_BIT, HEAT_BIT, VOLTAGE_BIT = 5, 2, 0
 TICK_S = 0.004
 LAG_S = 0.015
-"""How far the shaft is behind its reference: the position controller's time constant."""
+"""The position controller's time constant: the shaft's lag behind its reference."""
 OVERLOAD_S = 1.0
 AMBIENT_C = 25.0
 BOOT_S = 0.15
-"""From power to the first answer; ours, no source names it."""
+"""From power-on to the first answer; our assumption, no source names it."""
 FULL_PWM = 885
 STRAINING_PWM = 0.75 * FULL_PWM
-"""A blocked servo that may use less power than this is not overloaded by it."""
+"""A blocked servo whose goal PWM is at most this does not overload."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class ServoModel:
     max_voltage: int
     firmware: int = 46
     indirect: tuple[tuple[int, int, int], ...] = ((168, 224, 28), (578, 634, 28))
-    """Where its lists of indirect addresses begin, where their data do, and how many there are."""
+    """Each list of indirect addresses: its first address, the first address of its data, and its length."""
     friction: int = 0
-    """What its gears hold against, as P gain times counts: so far off its goal it stands without an I gain."""
+    """Gear friction, as P gain times counts: within this error it does not move without an I gain."""
 
 
 XM430 = ServoModel(1020, 200, 1193, 80, 95, 160)
@@ -67,16 +67,16 @@ class Servo:
         self.id = servo_id
         self.kind = kind
         self.shaft = position
-        """How far it is turned, whatever it remembers of that."""
+        """The shaft's real position, with all its turns."""
         self._forgotten = 0
-        """Counts of the turns that it does not remember."""
+        """Counts of the turns that it has lost."""
         self.velocity = 0.0
         """Counts per second."""
         self.temperature_c = AMBIENT_C
         self.can_rise = self.can_fall = True
-        """Whether nothing holds the shaft, as its count rises and falls."""
+        """Whether the shaft is free to turn up and down in counts."""
         self.speed_ratio = 1.0
-        """What its speed is of what it should be."""
+        """Its speed relative to the nominal one."""
         self.is_powered = True
         self.table = bytearray(TABLE_SIZE)
         self.registered: tuple[int, bytes] | None = None
@@ -87,15 +87,15 @@ class Servo:
         self._loaded_s = 0.0
         self._boots_until_s = float("-inf")
         self._dead_time_s = dead_time_s
-        """From a goal to the first motion after it."""
+        """From a new goal to the first motion."""
         self._goal = position
         self._goals: list[tuple[float, float]] = []
-        """Goals that it has not begun to follow yet, and from when it will."""
+        """Goals that it does not follow yet, and from when it will."""
         self._factory_settings(window)
 
     @property
     def position(self) -> float:
-        """How far it takes itself to be turned."""
+        """The position that it reports."""
         return self.shaft - self._forgotten
 
     @position.setter
@@ -104,7 +104,7 @@ class Servo:
 
     @property
     def kept(self) -> list[Plain]:
-        """What outlives the twin's process, in which time stands still: its turns and its registers."""
+        """What outlives the twin's process (time stands still meanwhile): its turns and its registers."""
         return [self.shaft, self._forgotten, self.table.hex()]
 
     @kept.setter
@@ -114,7 +114,7 @@ class Servo:
         self.stand()
 
     def forget_turns(self) -> None:
-        """Know the angle within one turn alone, and stand there."""
+        """Keep only the angle within one turn, and hold there."""
         self._forgotten += 4096 * math.floor(self.position / 4096)
         self.stand()
 
@@ -141,7 +141,7 @@ class Servo:
         self.stand()
 
     def stand(self) -> None:
-        """Be where it is, whatever it was told."""
+        """Drop all goals and hold the present position."""
         self._goals, self._goal = [], self.position
         self._reference, self._reference_velocity = self.position, 0.0
 
@@ -168,7 +168,7 @@ class Servo:
         return NO_ERROR, bytes(self.table[a] for a in self._meant(range(address, address + size)))
 
     def _meant(self, span: range) -> list[int]:
-        """The registers behind a span of addresses: each of the indirect data stands for the one in its list."""
+        """The registers behind a span of addresses, with indirect data replaced by their targets."""
         registers = list(span)
         for listed, data, count in self.kind.indirect:
             for a in range(max(span.start, data), min(span.stop, data + count)):
@@ -236,7 +236,7 @@ class Servo:
 
     @property
     def blocked(self) -> bool:
-        """Something holds the shaft."""
+        """Whether something holds the shaft."""
         return not (self.can_rise or self.can_fall)
 
     @blocked.setter
@@ -249,7 +249,7 @@ class Servo:
         self._spoken_to_s = now_s
 
     def reboot(self, now_s: float) -> None:
-        """Power on again: what is not EEPROM is lost, also how often it has turned, and a shutdown is cleared."""
+        """Restart: everything outside EEPROM is lost, also the number of turns, and a shutdown is cleared."""
         self.registered = None
         self._loaded_s = 0.0
         self.forget_turns()
@@ -258,31 +258,32 @@ class Servo:
         self._boots_until_s = now_s + BOOT_S
 
     def cut_power(self, now_s: float) -> None:
-        """The supply is gone: the shaft stays where it is, as far as the gears hold it.
+        """The supply is off: the shaft stays where it is, as far as the gears hold it.
 
-        What a reboot loses is lost now: its twin may end before the supply is back, and has power when it begins again.
+        What a reboot loses is lost now: the twin may end before the supply is back, and has power when it starts
+        again.
         """
         self.step(now_s, force=True)
         self.reboot(now_s)
         self.is_powered, self.velocity = False, 0.0
 
     def restore_power(self, now_s: float) -> None:
-        """The supply is there again."""
+        """The supply is back."""
         self.is_powered = True
         self.reboot(now_s)
 
     def is_silent(self, now_s: float) -> bool:
-        """It has no power, or has not begun yet."""
+        """Whether it has no power, or still boots."""
         return not self.is_powered or now_s < self._boots_until_s
 
     def fail(self, bit: int) -> None:
-        """A hardware error; those that the shutdown mask names take the torque away."""
+        """Set a hardware error; one that the shutdown mask names switches the torque off."""
         self.table[70] |= 1 << bit
         if self.table[63] & 1 << bit:
             self.table[64] = 0
 
     def step(self, now_s: float, force: bool = False) -> None:
-        """Let time pass until now."""
+        """Advance to now."""
         if self._stepped_s is None:
             self._stepped_s = self._spoken_to_s = now_s
         dt_s = now_s - self._stepped_s
@@ -309,7 +310,7 @@ class Servo:
             self.put(116, 4, round(self.position))
 
     def _follow(self, now_s: float, dt_s: float) -> None:
-        """The reference goes to the goal within the profile, and the shaft after the reference."""
+        """Move the reference to the goal within the profile, and the shaft after the reference."""
         while self._goals and self._goals[0][0] <= now_s:
             self._goal = self._goals.pop(0)[1]
         goal = self._goal

@@ -1,6 +1,6 @@
-"""The world's arm and hand behind twins: they are where the servos' shafts and the board's valve are.
+"""The world's arm and hand behind twins: their state is that of the servos' shafts and of the board's valve.
 
-The world sees these, not commands.
+The world sees the shafts, not commands.
 """
 
 import math
@@ -22,15 +22,15 @@ from scuhand_bt.sim.wire.servo import Servo
 
 SHOULDER = 1
 STILL_AFTER_S = 0.1
-"""What has not moved for this long stands still."""
+"""What has not moved for this long counts as still."""
 SHUT_MM = 0.01
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
 SINKS_RAD_PER_S = 0.3
-"""So fast the shoulder of an arm without power gives way, and by `SAG_RAD` at most: then it rests on something."""
+"""How fast the shoulder of an arm without power sinks, by `SAG_RAD` at most: then it rests on something."""
 
 
 class WireArm(SimulatedArm):
-    """The world's arm: it is where the servos are."""
+    """The world's arm: its joints follow the servos."""
 
     def __init__(
         self, clock: Clock, mount: Callable[[], Mount], joints: Joints, servos: list[Servo], built: ArmOptions
@@ -43,19 +43,19 @@ class WireArm(SimulatedArm):
         self.stand_at(joints)
 
     def stand_at(self, joints: Joints) -> None:
-        """A hand has moved the arm there, which was limp."""
+        """A person has moved the limp arm there."""
         for servo, count in zip(self._servos, (self._homes + joints * self._per_rad).tolist(), strict=True):
             servo.position = count
             servo.stand()
 
     @property
     def is_limp(self) -> bool:
-        """No servo of it holds anything."""
+        """Whether no servo holds anything."""
         return not any(servo.has_torque and servo.is_powered for servo in self._servos)
 
     @property
     def joints(self) -> Joints:
-        """Where the servos are, as they are built in."""
+        """The joints [rad] by the servos' positions and the way they are mounted."""
         joints: Joints = (np.array([servo.position for servo in self._servos]) - self._homes) / self._per_rad
         return joints
 
@@ -64,7 +64,7 @@ class WireArm(SimulatedArm):
         return self._now_s - self._moved_s < STILL_AFTER_S
 
     def advance(self, end_s: float) -> None:
-        """See where the servos are."""
+        """Take over the servos' positions."""
         self._sink(end_s - self._now_s)
         joints = self.joints
         if np.abs(joints - self._rest).max() > 0.5 / COUNTS_PER_RAD:
@@ -75,7 +75,7 @@ class WireArm(SimulatedArm):
         self._now_s = end_s
 
     def _sink(self, dt_s: float) -> None:
-        """There are no brakes. Once the power is back a person has hold of it, whether or not it has torque."""
+        """There are no brakes. Once the power is back a person holds the arm, with or without torque."""
         if self._servos[SHOULDER].is_powered:
             self._sunk_rad = 0.0
             return
@@ -87,7 +87,7 @@ class WireArm(SimulatedArm):
 
 
 class WireHand(SimulatedHand):
-    """The world's hand: its valve is where the twin's is, its cone what the roller's servo has made of it."""
+    """The world's hand: its valve follows the twin's, its cone the roller's servo."""
 
     STATE = (*SimulatedHand.STATE, "_at_zero_deg")
 
@@ -104,7 +104,7 @@ class WireHand(SimulatedHand):
         return self._roller.shaft * 360 / 4096
 
     def rim_is(self, diameter_mm: float) -> None:
-        """A sheet is mounted so, as the roller stands now."""
+        """A sheet is mounted with this rim, at the roller's present angle."""
         self._at_zero_deg = Cone(diameter_mm, self.spec.sheet_radius_mm).roller_deg(self.spec) - self._roller_deg
 
     @property
@@ -117,7 +117,7 @@ class WireHand(SimulatedHand):
         return self._now_s - self._closed_s < STILL_AFTER_S
 
     def advance(self, end_s: float, dt_s: float) -> float:
-        """See where the valve and the roller are; the mean real opening [mm] since the last look."""
+        """Take over the state of valve and roller; returns the mean real opening [mm] since the last step."""
         self._now_s = end_s
         self.vibration = self._board.vibration
         opening_mm = self._board.opening_mm if self._board.opening_mm > SHUT_MM else 0.0

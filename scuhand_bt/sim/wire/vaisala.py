@@ -1,4 +1,4 @@
-"""The twin of a Vaisala transmitter, as its manual has it: one reading at SEND, streams between R and S."""
+"""The twin of a Vaisala transmitter, by its manual: one reading at SEND, a stream from R to S."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ class VaisalaTwin(LineTwin):
         return self.reading()
 
     def reading(self) -> bytes:
-        """The line as the factory has set its format."""
+        """A line in the factory's format."""
         air = self.scene.air
         humidity, temperature = air["humidity_percent"], air["temperature_c"]
         return f"RH={humidity:5.1f} %RH T={temperature:6.1f} 'C \r\n".encode()

@@ -1,4 +1,4 @@
-"""The world behind twins, which goes on in real time and lives in a file with them."""
+"""The world behind twins: it runs in real time, and is kept in a file with them."""
 
 import threading
 from collections.abc import Mapping, Sequence
@@ -14,14 +14,14 @@ from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container, Source
 
 UNSAVED_S = 0.5
-"""A world in which no powder moves is saved so often."""
+"""Time between two saves of a world in which no powder moves."""
 
 
 class WireWorld(World):
-    """The world that goes on in a thread of its own, while hands act on it from another.
+    """A world that runs in a thread of its own, while calls from another thread act on it.
 
-    It lives in a file, if it is told to, with the twins that meet it: of a process that ends, however it does, another
-    takes up devices and powder as if time had stood still.
+    It may be kept in a file with its twins. However its process ends, the next one resumes devices and powder as if
+    time had stood still.
     """
 
     def __init__(
@@ -46,11 +46,11 @@ class WireWorld(World):
             return super().masses_mg
 
     def lives_with(self, twins: Sequence[Stateful]) -> None:
-        """Keep the state of these, too."""
+        """Keep the state of these twins, too."""
         self._memory.add(twins)
 
     def save_changes(self) -> None:
-        """Save it, if powder has moved since, or it was not saved for a while."""
+        """Save the world if powder has moved since the last save, or `UNSAVED_S` have passed."""
         with self._lock:
             if self.ledger.masses_mg != self._saved_mg or self.now_s - self._saved_s >= UNSAVED_S:
                 self.save()
@@ -61,7 +61,7 @@ class WireWorld(World):
             self._saved_mg, self._saved_s = dict(self.ledger.masses_mg), self.now_s
 
     def _sit_out(self) -> None:
-        """Nothing happens to twins between two of their processes."""
+        """Does nothing: time stands still for twins between two processes."""
 
     def step(self, now_s: float, limit_s: float) -> float:
         with self._lock:
