@@ -1,8 +1,8 @@
 """Collisions of the arm with itself and the cell, and a proof for whole motions (docs/motion.md, "No contact").
 
-If each sample keeps a clearance of m from everything, and between two samples every point of the arm passes within m
-of its position at one of them (`swept_bound`), then *nothing can touch in between*. A curve over time, sampled every h
-seconds, may leave the line between its samples by a h^2/8 per joint (a: its acceleration), which is added.
+*Nothing can touch between two samples* under two conditions. Both keep a clearance of m from everything, and between
+them every point of the arm passes within m of its position at one of them (`swept_bound`). A curve over time, sampled
+every h seconds, may leave the line between its samples by a h^2/8 per joint (a: its acceleration), which is added.
 
 This module and `arm_model` also contain every trap of the libraries below them:
 

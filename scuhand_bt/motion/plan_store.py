@@ -2,7 +2,7 @@
 
 A file holds the plans of one geometry. Its name is a hash of the URDF, what a cell says about motion, the mortars,
 this package's source and its libraries. So a plan is looked up only where the same would be planned again. It is not
-trusted: the planner proves every plan anew before it is used (`MotionPlanner`).
+trusted: the planner proves every plan again before it is used (`MotionPlanner`).
 """
 
 import hashlib

@@ -1,8 +1,8 @@
 """From a course in planning coordinates to a proven motion of the joints.
 
-A course is proven if its joints keep their rate and position limits, its samples are free and dense enough that
-nothing can touch in between (`collision`), and the load's spill angle keeps its limit (`spill`). What is too quick for
-joints or load is slowed. What cannot be proven is None.
+A course is proven if its joints keep their rate and position limits, and the load's spill angle keeps its limit
+(`spill`). Its samples must be free, and so dense that nothing can touch in between (`collision`). A course that is too
+quick for joints or load is slowed. The result is None if it cannot be proven.
 
 Planning coordinates (7,), times [s].
 """

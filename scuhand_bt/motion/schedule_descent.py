@@ -55,7 +55,7 @@ _MOST_PROVEN = 12
 _TIGHTNESSES, _MORE_MARGIN, _MORE_CHANGES = 3, 0.15, 4
 """How often an unproven result is improved again; with how much more margin each time, and how many changes."""
 _WATCHED_FOR = 4
-"""Changes after which the near pairs are determined anew."""
+"""Changes after which the near pairs are determined again."""
 _SHARE_OF_T = 0.1
 """Largest change of the duration in one program."""
 _LEAST_GAIN_S = 5e-4

@@ -111,7 +111,7 @@ class StoppableTrajectory(JointTrajectory):
 
 
 class Stop:
-    """A motion that comes to rest on its own path from `at_s` on; the arm follows it when told to stop.
+    """A motion that comes to rest on its own path from `at_s` on; the arm follows it after a stop.
 
     With an infinite delay the motion simply goes on to its end.
     """

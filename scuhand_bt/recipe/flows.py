@@ -38,7 +38,7 @@ class Flows:
 
 
 def _told(value: Any, ids: list[str], *, by_id: bool) -> Hashable:
-    """A key that tells an input from others of its type. Appends the ids of containers to `ids`."""
+    """A hashable key for an input's value. Appends the ids of containers to `ids`."""
     if isinstance(value, tuple):
         return tuple(_told(one, ids, by_id=by_id) for one in value)
     if isinstance(value, Container):

@@ -100,7 +100,7 @@ def load_recipe(given: RecipeGiven, lab: Lab) -> Recipe:
 
 
 def given_again(path: Path, text: str) -> RecipeGiven:
-    """The recipe as it was given, from what a run has recorded: its file as it is now, or the dict."""
+    """The recipe that a run has recorded: its file as it is now, or the dict."""
     if path.name == GIVEN:
         with suppress(ValueError):
             given: Mapping[str, Any] = json.loads(text)

@@ -43,7 +43,7 @@ class Take:
 
 @dataclass(frozen=True)
 class Ask:
-    """A mass that a sample asks for. With a `lot` of None it is of whichever lot the workflow takes."""
+    """A mass that a sample asks for. With a `lot` of None, the workflow decides on the lot."""
 
     mass_mg: float
     tolerance_mg: float | None

@@ -17,8 +17,8 @@ from scuhand_bt.yaml_source import Entries, Node, Scalar, describe
 REFILL = "refill"
 """The lab's workflow in which a person adds powder to a mortar; its input is `source`."""
 LEAST_LIMIT_MG = 300.0
-"""The least load limit [mg] that scoops keep, but for some first loads. In dry runs with beads and MSG, first loads
-were 2 to 4.5 times limits of 20 and 40 mg, 1.6 to 2.3 times 80 and 160 mg, and 1.2 to 1.7 times 320 mg."""
+"""The least load limit [mg] that scoops keep, except for some first loads. In dry runs with beads and MSG, first loads
+were 2 to 4.5 times limits of 20 and 40 mg. They were 1.6 to 2.3 times 80 and 160 mg, and 1.2 to 1.7 times 320 mg."""
 
 
 class SourceText(Assay):

@@ -70,7 +70,7 @@ def read_table(path: Path, asked_at: Mark, problems: Problems) -> list[Entries]:
 
 
 def _decimal_sign(rows: list[list[str]], header: list[Column | None]) -> str:
-    """The one sign that tells decimals in a table, by its numbers that have no thousands; "" where that is open."""
+    """A table's decimal sign, by its numbers without thousands; "" if they leave it open."""
     numbers = {
         text
         for cells in rows

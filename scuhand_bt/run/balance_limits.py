@@ -15,7 +15,7 @@ from scuhand_bt.recipe.plan import Plan
 
 
 def beyond_limits(plan: Plan, lab: Lab, figures: Figures, now: datetime) -> list[Problem]:
-    """Where a plan that doses asks more of its balance than is known of it, by what was measured."""
+    """Where a plan that doses asks more of its balance than its measured figures show."""
     if not any(sample.flow.pours for sample in plan.recipe.samples):
         return []
     return [*_check_weight(lab, figures, now), *_too_little(plan, lab, figures)]

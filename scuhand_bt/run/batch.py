@@ -243,8 +243,8 @@ class Batch:
     def _too_many_overshoots(self) -> Ended | None:
         """How the run ends if as many samples in a row have overshot as the recipe allows; None if it goes on.
 
-        Powders are not told apart, as samples share balance and valve. Samples that dosed nothing do not break the
-        row. Those that a person has been told of, before a resume, do not count again.
+        Samples of all powders count, as they share balance and valve. Samples that dosed nothing do not break the
+        row. Those already reported to a person, before a resume, do not count again.
         """
         overshot: list[str] = []
         for result in reversed(self._results.by_id.values()):

@@ -88,7 +88,7 @@ def take_up(cell: Cell, state: Mapping[str, Any]) -> None:
     if source is not None and cell.believed.sheet is None:  # journals of earlier versions
         cell.believed.cone_holds(source, cell.believed.cone_mg)
     for name, belief in state["powders"].items():
-        with suppress(ValidationError):  # a belief of another version is learnt anew
+        with suppress(ValidationError):  # a belief of another version is learnt again
             cell.powder_beliefs[name] = PowderBelief.model_validate(belief, by_name=True, by_alias=False)
     with suppress(ValidationError):
         cell.balance_belief = BalanceBelief.model_validate(state["balance"], by_name=True, by_alias=False)

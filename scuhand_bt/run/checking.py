@@ -390,7 +390,7 @@ def _planned(lab: Lab) -> dict[str, str]:
 
 
 def _note_planned(lab: Lab, key: str, strained: str) -> None:
-    """Remember a result for the next check; a lab that is read-only is planned anew each time."""
+    """Remember a result for the next check; a read-only lab is planned again each time."""
     with suppress(OSError):
         folder = state_folder(lab)
         folder.mkdir(parents=True, exist_ok=True)

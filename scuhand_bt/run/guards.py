@@ -22,7 +22,7 @@ BEYOND_TARGET_MG = 100.0
 BEYOND_TARGET = 0.2
 """The same as a share of the target; the larger of both counts."""
 RUNAWAY_S = 2.0
-"""How long the valve must have stayed open since then [s]: even a slow valve that was told to shut has done so."""
+"""How long the valve must have stayed open since then [s]: even a slow valve has shut by then after its command."""
 SHUT_MM = 0.05
 """A valve that reports no more than this is shut; its servo's zero is no more exact."""
 SETTLED_LAGS = 4.0
@@ -107,7 +107,7 @@ class Guards:
         return SkillFailed(Code.HAND_LEAK, f"the valve is shut, and the pan below it gains {rate:.1f} mg/s")
 
     def _begin_watch(self, now_s: float) -> float:
-        """Start anew; returns the time from which readings are settled if nothing falls [s]."""
+        """Restart; returns the time from which readings are settled if nothing falls [s]."""
         balance, lag_s = self._cell.spec.balance, self._cell.balance_belief.lag_s
         block_s = max(BLOCK_S, 0.75 * lag_s, 3.0 * balance.period_s)
         self._rise = _Rise(block_s, max(LEAK_MG_PER_S * block_s, balance.readability_mg / 2.0))

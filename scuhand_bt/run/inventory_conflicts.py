@@ -83,7 +83,7 @@ def recall(cell: Cell, stock: Stock) -> None:
             believed.cone_holds(same[0], cone.mass_mg or 0.0)
     containers = {name: entry.used or 0 for (kind, name), entry in stock.items() if kind == "container"}
     kinds = cell.spec.changer.kinds
-    is_counted = counted_otherwise(kinds, stock) is None  # else a person confirms that it was filled anew
+    is_counted = counted_otherwise(kinds, stock) is None  # else a person confirms that it was refilled
     counts = {kind: stock.get(("changer", kind)) for kind in kinds or ("",)} if is_counted else {}
     slots = {kind: entry.used or 0 for kind, entry in counts.items() if entry is not None}
     believed.containers_taken(slots.get("", believed.slots_used), {**believed.containers_used, **containers})

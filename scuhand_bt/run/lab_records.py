@@ -1,4 +1,4 @@
-"""What a run tells its lab besides its journal: ledger, inventory, what was learnt, and notifications.
+"""What a run records in its lab besides its journal: ledger, inventory, what was learnt, and notifications.
 
 None of it ends a run that has begun. What goes wrong is a journal entry, and a notice at the end.
 """
@@ -31,8 +31,7 @@ from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 class LabRecords:
     """The lab's side of one run; `folder` keeps the lab's state. A run on the real cell starts from its `stock`.
 
-    A run that is not `is_kept` tells nothing. Raises SourceError for a lab database that cannot be read, or a key that
-    cannot be used.
+    A run that is not `is_kept` records nothing. Raises SourceError for an unreadable lab database or an unusable key.
     """
 
     def __init__(
@@ -52,7 +51,7 @@ class LabRecords:
         self._is_kept = is_kept
 
     def begin(self, journal: Journal, cell: Cell) -> None:
-        """From now on, be told everything that the journal is told."""
+        """From now on, receive every entry of the journal."""
         self._journal, self._cell = journal, cell
         if self._is_kept:
             journal.heard = self._heard

@@ -9,7 +9,7 @@ from scuhand_bt.tree.build import Tree
 
 
 class BatchObserver:
-    """Is told how the batch goes on, and ignores it; subclasses show it."""
+    """Receives the progress of the batch, and ignores it; subclasses show it."""
 
     def tree_made(self, tree: Tree) -> None:
         """The tree of an attempt at a job was made, before its first tick."""

@@ -1,4 +1,4 @@
-"""What a run settles before its first job, as after an outage no device is sure to be as it was left.
+"""What a run settles before its first job: after an outage, devices may not be as they were left.
 
 See docs/run-behaviour.md, "What an outage may have done". Nobody knows whether only the program ended or all power was
 lost. So neither the balance's zero is trusted, nor that the same container still stands on the pan:
@@ -58,7 +58,7 @@ def settle_arm(cell: Cell) -> Steps[None]:
 
 
 def settle_outage(journal: Journal, cell: Cell) -> Steps[None]:
-    """Weigh the container anew, if there was one; account for what a limp arm's cone may have lost.
+    """Weigh the container again, if there was one; account for what a limp arm's cone may have lost.
 
     Raises SkillFailed operator.refused, operator.absent, and whatever moving the arm or weighing fails with.
     """

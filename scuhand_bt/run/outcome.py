@@ -217,7 +217,7 @@ def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResul
 def confirmed_dose(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
     """A dose after its container has left the pan: adjusted to the bare pan, where the two agree.
 
-    A container that has left more than once must agree each time. A departure before one of its lots came tells
+    A container that has left more than once must agree each time. A departure before one of its lots came says
     nothing about that lot.
     """
     if dose.bracket == "does not close" or (closed.doses and dose.lot not in closed.doses):

@@ -26,7 +26,7 @@ def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPl
 
     `for_real`: also the ways past each container, and all others that the plan will take (`run/ways.py`). A dry run
     plans these when they are needed. Both refuse a mortar from which no scoop would bring anything. Raises SkillFailed
-    arm.* for what is not possible.
+    arm.* for an impossible motion.
     """
     motion = motion_of(plan, lab)
     if for_real:

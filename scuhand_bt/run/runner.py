@@ -32,8 +32,7 @@ from scuhand_bt.tree.replay import Decision, Replay
 from scuhand_bt.tree.substitutes import Substitutes
 
 SAFE_TIMEOUT_S = 20.0
-"""How long the cell may take to stand still after it is told to [s]: a carousel's swing takes 2 s, an arm's stop 1 s.
-"""
+"""How long the cell may take to stand still after the command [s]: a carousel's swing takes 2 s, an arm's stop 1 s."""
 UNREACHED_S = 2.0
 """The same for a device that cannot be reached: its own watchdog has stopped it long before."""
 UNREACHED = frozenset({Code.DEVICE_LOST, Code.ARM_LIMP, Code.HAND_VALVE_LOST})
@@ -47,7 +46,7 @@ T = TypeVar("T")
 
 
 class TickObserver(Protocol):
-    """Is shown each job's tree, and its root after every tick, and told of pauses. Must be quick."""
+    """Receives each job's tree, its root after every tick, and pauses. Must be quick."""
 
     def tree_made(self, tree: Tree) -> None: ...
 
@@ -118,7 +117,7 @@ class Runner:
 
     def make_safe(self) -> bool:
         """Close the valve, end vibration, stop the arm: tell every device, then wait. False if one did not stop."""
-        with ExitStack() as stopping:  # if telling one fails, the others are told all the same
+        with ExitStack() as stopping:  # if stopping one fails, the others are still stopped
             for device in self._cell.every_device.values():
                 stopping.callback(device.stop)
         is_still = not self._still_moving()

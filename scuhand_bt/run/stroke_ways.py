@@ -33,8 +33,8 @@ WORTH_SHARE = 0.01
 mortar is empty."""
 
 FIRST_SHARE = 0.08
-"""A first stroke is to bring at least this share of bed and load limit, or all that is needed. In dry runs of 8 doses
-of 500 mg of MSG, bowls of 55 to 58 mm (share 0.01 to 0.07) gave at most one dose, one of 60 mm (0.12) five."""
+"""A first stroke must bring at least this share of bed and load limit, or all that is needed. In dry runs of 8 doses of
+500 mg of MSG, bowls of 55 to 58 mm (share 0.01 to 0.07) gave at most one dose. One of 60 mm (0.12) gave five."""
 POOR_SHARE, POOR_DOSES = 0.15, 2.0
 """Below this share, and below this many of the largest dose, doses take several scoops each. By the height field, for
 8 doses of 500 mg from 6 g: in a bowl of 60 and 20 mm (share 0.12 for MSG, 0.10 for titanium dioxide) the last four

@@ -103,7 +103,7 @@ def say(folder: Path, words: Sequence[str]) -> Answer:
 
 
 class Twins:
-    """The twins' process of one run. `tell` is told why their world cannot be saved."""
+    """The twins' process of one run. `tell` is called with the reason if their world cannot be saved."""
 
     def __init__(
         self, folder: Path, line: socket.socket, process: subprocess.Popen[bytes] | None, tell: Callable[[str], None]

@@ -181,7 +181,7 @@ class SimulatedHand:
             while not is_shut:
                 yield Wake.on(self.news, max(shut_s, self._clock.now_s + self.spec.valve_dead_time_s))
                 self._require_sound()
-                is_over = self._clock.now_s >= shut_s or not self._commands  # or it was told to shut earlier
+                is_over = self._clock.now_s >= shut_s or not self._commands  # or it was shut earlier
                 is_shut = is_over and self._servo_mm <= SHUT_MM
         finally:
             if not is_shut and not self._is_lost:

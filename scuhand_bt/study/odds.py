@@ -37,8 +37,8 @@ COVERED = 0.9
 MODEL_SHARE = 0.05
 """Additional relative standard deviation of a time, for what persons, carousels and arms differ by."""
 MODEL_MASS_SHARE = 0.005
-"""The same for a mass. Of 48 sources in 24 recipes, on plants that share no physics with the trials', 16 lay some
-milligrams outside the interval of Student's t with eight trials alone, and 4 outside this one."""
+"""The same for a mass. Evidence: 48 sources in 24 recipes, on plants that share no physics with the trials'. With
+eight trials, 16 lay some milligrams outside the plain Student's t interval, and 4 outside this one."""
 FEWEST = 3
 """Fewer trials give no interval."""
 WIDE = 1.645

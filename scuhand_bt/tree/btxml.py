@@ -224,7 +224,7 @@ def _model_of_workflow(model: Element, workflow: Workflow) -> None:
 
 
 def from_xml(text: str, file: str) -> dict[str, str]:
-    """The workflows of such a file by name, each as the text of its YAML file. SourceError for what is not ours."""
+    """The workflows of such a file by name, each as its YAML file's text. Raises SourceError for a foreign file."""
     if "<!" in text.replace("<!--", ""):
         raise SourceError([Problem(Mark(file), "has a document type or entities, which are not accepted")])
     try:

@@ -39,7 +39,7 @@ class Guard(Behaviour):
 
 
 class While(SequenceNode):
-    """Guards, then the child, checked anew on every tick. If a guard fails, the child is halted."""
+    """Guards, then the child; every tick checks the guards again. If a guard fails, the child is halted."""
 
     def __init__(self, path: str, guards: Sequence[Guard], child: Behaviour, shared: Ticking) -> None:
         super().__init__("while", memory=False, children=[*guards, child])

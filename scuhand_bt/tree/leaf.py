@@ -37,7 +37,7 @@ class SkillBug(Exception):  # noqa: N818 - it names what it is, for the user
 
 
 class Listener(Protocol):
-    """Is told of every action before it starts and after it has ended; in a run it is the journal."""
+    """Receives every action before it starts and after it has ended; in a run it is the journal."""
 
     def started(self, leaf: "SkillLeaf", inputs: Values) -> None: ...
 
@@ -85,7 +85,7 @@ class Consent(Protocol):
     """Asks for permission before each action, in single step."""
 
     def waits(self, leaf: "SkillLeaf", inputs: Values, shared: "Ticking") -> Wake | None:
-        """What to wait for until the leaf may begin; None once it may, which is told only once."""
+        """What to wait for until the leaf may begin; None, only once, when it may."""
         ...
 
     def withdraw(self, leaf: "SkillLeaf", shared: "Ticking") -> None:

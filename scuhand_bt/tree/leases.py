@@ -60,7 +60,7 @@ class Leases:
         way.leave(owner, gone)
 
     def waited_for(self, devices: Sequence[str], owner: object, zones: Sequence[str]) -> tuple[float, SkillFailed]:
-        """How long to wait for what is not free [s], and the failure after that."""
+        """How long to wait for devices and zones that are taken [s], and the failure after that."""
         missing, stood_in = self.missing(devices, owner, zones), self.stood_in(devices, zones)
         if stood_in and set(missing) <= set(stood_in):
             what = f"for {ZONE_TIMEOUT_S:g} s nothing has moved the arm out of the zone {', '.join(stood_in)}"

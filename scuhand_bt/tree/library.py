@@ -17,7 +17,7 @@ from scuhand_bt.tree.workflow import Call, TreeNode, Workflow, walk
 from scuhand_bt.yaml_source import Items, Node, describe, plain
 
 SKILLS_KEPT = 128
-"""How many skills' parameters are cached. A study loads the lab anew for each draw, and each time makes new classes."""
+"""How many skills' parameters are cached. A study loads the lab again for each draw, with new classes each time."""
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class _OnClock(_Begun):
         self._shared.done(self)
 
     def _again(self) -> Status:
-        """Tick the child anew at this same time."""
+        """Tick the child again at this same time."""
         self._shared.wait(self, Wake(self._shared.cell.clock.now_s))
         return Status.RUNNING
 
@@ -87,7 +87,7 @@ class _Counted(_OnClock):
 class Retry(_Counted):
     """Begin the child again when it fails with one of `codes` (any, if empty), up to `attempts` times in all.
 
-    The listener is told when it gives up. Otherwise the journal would look the same as before another attempt.
+    It reports to the listener when it gives up. Otherwise the journal would look the same as before another attempt.
     """
 
     count = "attempts"
@@ -113,7 +113,7 @@ class Retry(_Counted):
 
 
 class Repeat(_Counted):
-    """Run the child `times` times; fails when the child fails. The listener is told when it is done."""
+    """Run the child `times` times; fails when the child fails. Reports its end to the listener."""
 
     count = "times"
 
@@ -141,8 +141,8 @@ class Repeat(_Counted):
 class ForEach(_Begun):
     """Run the child for each item of its parallel lists; fails when the child fails.
 
-    The listener is told when it is done. `items` are the values that the child reads, by the items' names. A next
-    round begins in the tick in which the last one ended: lists are finite.
+    Reports its end to the listener. `items` are the values that the child reads, by the items' names. The next round
+    begins in the tick in which the last one ended: lists are finite.
     """
 
     def __init__(

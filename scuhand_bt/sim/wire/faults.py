@@ -1,7 +1,7 @@
 """The faults of a simulated cell, as twins show them on their cables.
 
-The world behind the twins produces the faults of powder (a clog, a leak, an empty scoop, a wrong container, a dead
-motor) and of weighing (drift, draught, no stability, overload). The others are here.
+The world behind the twins produces the faults of powder (clog, leak, empty scoop, wrong container, dead motor) and of
+weighing (drift, draught, no stability, overload). The others are here.
 """
 
 import time
