@@ -42,7 +42,7 @@ def _root(path: Path, problems: Problems) -> Entries | None:
         return None
     if isinstance(node, Entries):
         return node
-    problems.add(node.mark, f"{describe(node)} stands where a mapping (name: …) should be", code="wrong-shape")
+    problems.add(node.mark, f"expected a mapping (name: …), found {describe(node)}", code="wrong-shape")
     return None
 
 
@@ -54,7 +54,7 @@ def load_entries(
     node = node or _root(path, problems)
     if node is None or not isinstance(node, Entries):
         if node is not None:
-            what = f"{describe(node)} stands where a mapping (name: …) should be"
+            what = f"expected a mapping (name: …), found {describe(node)}"
             problems.add(node.mark, what, code="wrong-shape")
         broken.add(kind, "", problems.found[before:])
         return {}
@@ -82,7 +82,7 @@ def load_vessels(path: Path, problems: Problems, broken: Broken) -> tuple[dict[s
         for key in kinds:
             if key not in vessels.keys:
                 problems.add(
-                    vessels.mark, f"'{key}' is missing", "name: {…}, as in the starter lab", code="missing-key"
+                    vessels.mark, f"'{key}' is missing", "write name: {…}, as in the starter lab", code="missing-key"
                 )
     of_file = problems.found[before:]
     nodes = {key: vessels.get(key) if vessels is not None else None for key in kinds}
@@ -97,24 +97,25 @@ def load_vessels(path: Path, problems: Problems, broken: Broken) -> tuple[dict[s
     for name, mortar in list(bowls.items()):
         if mortar.corner_mm is None and (empty := _mark_of(mortars, name, "corner")) is not None:
             of_entry = Problems()
-            of_entry.add(empty, "'corner' is empty", "a radius, as 5 mm; a bowl has no corner", code="bad-value")
+            of_entry.add(
+                empty, "'corner' is empty", "write a radius, such as 5 mm, or leave it out for a bowl", code="bad-value"
+            )
             problems.found += of_entry.found
             broken.add("mortar", name, of_entry.found)
             del bowls[name]
         if mortar.bore_mm >= mortar.outer_diameter_mm:
-            what = (
-                f"the bore of '{name}', {mortar.bore_mm:g} mm, is as wide as all of it, {mortar.outer_diameter_mm:g} mm"
-            )
+            what = f"the bore of '{name}', {mortar.bore_mm:g} mm, is not less than "
+            what += f"its outer diameter, {mortar.outer_diameter_mm:g} mm"
             problems.warn(
                 _mark_in(mortars, name, "bore"), what, "correct the bore or the outer diameter", code="implausible-size"
             )
         if mortar.corner_mm is None and mortar.depth_mm >= DEEP * mortar.bore_mm:
             steep_deg = math.degrees(2.0 * math.atan(2.0 * mortar.depth_mm / mortar.bore_mm))
             what = (
-                f"'{name}' has no 'corner', so it is taken for a bowl; one of {mortar.bore_mm:g} mm bore and "
-                f"{mortar.depth_mm:g} mm depth is {steep_deg:.0f}° steep at its edge, as few are"
+                f"'{name}' has no 'corner', so it counts as a bowl; but a bowl of {mortar.bore_mm:g} mm bore and "
+                f"{mortar.depth_mm:g} mm depth would be {steep_deg:.0f}° steep at its edge, as few are"
             )
-            add = "a beaker or a jar has a level floor: add the radius between that and its wall, as 'corner: 5 mm'"
+            add = "for a beaker or a jar, add the radius between its level floor and its wall, such as 'corner: 5 mm'"
             problems.warn(_mark_in(mortars, name, "depth"), what, add, code="implausible-size")
     return found, bowls
 
@@ -200,7 +201,7 @@ def _check_zones(cell: CellSpec, root: Entries, problems: Problems) -> None:
         mark = nodes.items[number].mark if isinstance(nodes, Items) else root.mark
         if second.name == first.name:
             problems.add(
-                mark, f"there are two zones '{second.name}'", "each has a name of its own", code="zones-overlap"
+                mark, f"there are two zones '{second.name}'", "give each a name of its own", code="zones-overlap"
             )
         elif None is first.mesh is second.mesh and _overlap_m(first, second) > TOUCHING_M:
             what = f"the zones '{first.name}' and '{second.name}' overlap: two may move there at once"
@@ -239,17 +240,17 @@ def _find_meshes(cell: CellSpec, root: Entries, folder: Path, problems: Problems
         path = (folder / obstacle.mesh).resolve()
         mark = node.values["mesh"].mark if isinstance(node, Entries) and "mesh" in node.values else node.mark
         if path.suffix.lower() not in MESHES:
-            problems.add(mark, f"'{shorten(obstacle.mesh)}' is no STL and no OBJ file", code="bad-value")
+            problems.add(mark, f"'{shorten(obstacle.mesh)}' is neither an STL nor an OBJ file", code="bad-value")
             continue
         try:
             if path.stat().st_size > LARGEST_MESH_BYTES:
                 what = f"'{shorten(obstacle.mesh)}' is larger than {LARGEST_MESH_BYTES / 1e6:g} MB"
-                problems.add(mark, what, "a coarser mesh will do: planning looks at every triangle", code="unreadable")
+                problems.add(mark, what, "use a coarser mesh: planning looks at every triangle", code="unreadable")
                 continue
             digest = hashlib.sha256(path.read_bytes()).hexdigest()
         except OSError as error:
             what = f"'{shorten(obstacle.mesh)}' cannot be read: {error.strerror}"
-            problems.add(mark, what, "its path is from cell.yaml's folder", code="unreadable")
+            problems.add(mark, what, "write its path from cell.yaml's folder", code="unreadable")
             continue
         cell.geometry[number] = obstacle.model_copy(update={"mesh": str(path), "mesh_digest": digest})
 
@@ -261,8 +262,8 @@ def _check_ports(cell: CellSpec, root: Entries, problems: Problems) -> None:
         port = cell.section(device).port
         node = root.get(device) or (named.get(device) if isinstance(named, Entries) else None)
         if port in taken and isinstance(node, Entries):
-            what = f"the {device} is on {port}, and so is the {taken[port]}"
-            problems.add(node.values["port"].mark, what, "each device has a port of its own", code="port-taken")
+            what = f"the {device} and the {taken[port]} are both on {port}"
+            problems.add(node.values["port"].mark, what, "give each device a port of its own", code="port-taken")
         elif port:
             taken[port] = device
 

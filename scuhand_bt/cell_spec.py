@@ -42,7 +42,7 @@ class NotifySpec(Spec):
     @model_validator(mode="after")
     def _names_one(self) -> Self:
         if (self.command is None) == (self.webhook is None):
-            raise ValueError("it names one: a 'command', or a 'webhook'")
+            raise ValueError("write either a 'command' or a 'webhook'")
         if self.command is not None and not (self.command and self.command[0]):
             raise ValueError("'command' names no program")
         return self
@@ -88,7 +88,7 @@ class CellSpec(Spec):
         for thing in things:
             if thing.frame is not None and thing.frame not in self.frames:
                 known = ", ".join(self.frames) or "none"
-                raise ValueError(f"'{thing.name}' belongs to '{thing.frame}', which is no frame; there are: {known}")
+                raise ValueError(f"'{thing.name}' belongs to '{thing.frame}', which is not a frame; known: {known}")
         for name, station in self.stations.items():
             if station.frame is not None:
                 frame = self.frames[station.frame]
@@ -110,7 +110,9 @@ class CellSpec(Spec):
     def _have_names_to_lease_by(cls, devices: dict[str, DeviceSpec]) -> dict[str, DeviceSpec]:
         for name in devices:
             if name in DEVICES or not name.isidentifier():
-                raise ValueError(f"'{name}' names none: letters, digits and _, and not {', '.join(DEVICES)}")
+                raise ValueError(
+                    f"'{name}' is not a valid name: use letters, digits and _, and not {', '.join(DEVICES)}"
+                )
         return devices
 
     @property

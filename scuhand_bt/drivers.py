@@ -74,7 +74,7 @@ def plugged(name: str, kind: type, called: str = "") -> Any:
     made = getattr(module, object_name, None)
     if not isinstance(made, kind):
         known = ", ".join(key for key, value in vars(module).items() if isinstance(value, kind)) or "none"
-        raise NotPluggable(f"'{name}': '{object_name}' is no {called or kind.__name__}; {module_name} has: {known}")
+        raise NotPluggable(f"'{name}': '{object_name}' is not a {called or kind.__name__}; {module_name} has: {known}")
     return made
 
 

@@ -88,7 +88,7 @@ def _part(text: str) -> dict[str, Fraction]:
         elif token["close"]:
             expected, group = stack.pop()
             if token["close"] != expected:
-                raise ValueError(f"there is a '{token['close']}' too many, or of another kind than its opening")
+                raise ValueError(f"there is a '{token['close']}' too many, or it closes another kind of bracket")
             if not group:
                 raise ValueError("a pair of brackets is empty")
         else:
@@ -122,24 +122,24 @@ def _count_at(text: str, at: int) -> tuple[Fraction, int]:
 
 def _count(text: str) -> Fraction:
     if not _COUNT.fullmatch(text):
-        raise ValueError(f"'{text}' is no count: 2, 0.5 or 6.75; what is beside another formula stands behind a '·'")
+        raise ValueError(f"'{text}' is not a count, such as 2, 0.5 or 6.75; write '·' before a second formula")
     return Fraction(text)
 
 
 def _not_understood(text: str, at: int) -> str:
     sign = text[at]
     if sign.islower():
-        return f"'{text[at:]}' begins with no element's symbol; the first letter of one is a capital"
+        return f"'{text[at:]}' does not begin with an element's symbol; a symbol begins with a capital letter"
     if sign in "+-^":
-        return f"'{text[at:]}' is not understood: formulas have no charges, and x has to be a number"
-    return f"'{text[at:]}' is not understood; it has elements, counts, brackets, and '·' before water"
+        return f"'{text[at:]}' cannot be read: formulas have no charges, and x must be a number"
+    return f"'{text[at:]}' cannot be read; a formula has elements, counts, brackets, and '·' before water"
 
 
 def _checked(text: str) -> str:
     try:
         parse_formula(text)
     except ValueError as error:
-        why = f"'{text if len(text) <= 40 else text[:39] + '…'}' is no formula: {error}"
+        why = f"'{text if len(text) <= 40 else text[:39] + '…'}' is not a formula: {error}"
         raise PydanticCustomError("formula", "{why}", {"why": why}) from None
     return text
 

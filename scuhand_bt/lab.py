@@ -122,7 +122,10 @@ def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:
         if not is_lab(chosen):
             problems = Problems()
             problems.add(
-                Mark(str(chosen)), "is no lab", f"a lab has {CELL_FILE}; `scuhand-bt init DIR` makes one", code="no-lab"
+                Mark(str(chosen)),
+                "is not a lab",
+                f"a lab has {CELL_FILE}; `scuhand-bt init DIR` makes one",
+                code="no-lab",
             )
             problems.raise_any()
         return chosen
@@ -232,11 +235,11 @@ def without_driver(lab: Lab) -> list[Problem]:
     if lab.cell.changer.driver == "operator" or lab.cell.changer.port:
         return []
     problems = Problems()
-    what = f"the changer '{lab.cell.changer.driver}' has no port, it is there in dry runs and rehearsals only"
+    what = f"the changer '{lab.cell.changer.driver}' has no port, so it exists only in dry runs and rehearsals"
     problems.add(
         cell_mark(lab, "changer", "driver"),
         what,
-        "name its `port`, or write `changer: {driver: operator}`: a person changes containers",
+        "name its `port`, or write `changer: {driver: operator}` if a person changes containers",
         code="no-driver",
     )
     return problems.found
@@ -252,5 +255,5 @@ def _check_names(library: Library, folder: Path, problems: Problems) -> None:
         if name in (*KEYWORDS, RECORD):
             problems.add(workflow.mark, f"'{name}' is a word of the workflow language", code="name-taken")
         if name in library.skills:
-            what = f"'{name}' is a skill already"
+            what = f"'{name}' is already a skill"
             problems.add(workflow.mark, what, "give the workflow another name", code="name-taken")

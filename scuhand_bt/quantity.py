@@ -79,7 +79,7 @@ class Unit:
             return self.parse(value)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             shown = "nothing" if value is None else f"'{_short(str(value))}'"
-            why = self.wanted(f"{shown} is no {self.dimension}")
+            why = self.wanted(f"{shown} is not {self.noun}")
             raise PydanticCustomError("quantity", "{why}", {"why": why})
         return float(value)
 
@@ -144,10 +144,10 @@ def _factor(unit_text: str, unit: Unit) -> float:
         return float(_registry().Quantity(1.0, normal).to(unit.unit).magnitude)
     except pint.DimensionalityError as error:
         found = _DIMENSIONS.get(str(error.dim1))
-        what = f"a unit of {found}, not of {unit.dimension}" if found else f"no unit of {unit.dimension}"
+        what = f"a unit of {found}, not of {unit.dimension}" if found else f"not a unit of {unit.dimension}"
         raise ValueError(unit.wanted(f"'{unit_text}' is {what}")) from None
     except (pint.PintError, AttributeError, ValueError):  # pint has more ways to refuse a unit than one
-        raise ValueError(unit.wanted(f"'{unit_text}' is no unit known here")) from None
+        raise ValueError(unit.wanted(f"'{unit_text}' is not a known unit")) from None
 
 
 _DIMENSIONS = {
@@ -171,10 +171,10 @@ def parse(text: str, unit: Unit) -> float:
     match = _NUMBER.fullmatch(text) if len(text) <= MAX_LENGTH else None
     if match is None or (match[2] and not _UNIT.fullmatch(match[2])):
         if _COMMA.match(text[:MAX_LENGTH]):
-            raise ValueError(unit.wanted(f"'{_short(text)}' has a comma; decimals are written with a point"))
+            raise ValueError(unit.wanted(f"'{_short(text)}' has a comma; write decimals with a point"))
         if _THOUSANDS.fullmatch(text[:MAX_LENGTH]):
-            raise ValueError(unit.wanted(f"'{_short(text)}' has a sign for thousands; numbers are written without"))
-        raise ValueError(unit.wanted(f"'{_short(text)}' is no {unit.dimension}"))
+            raise ValueError(unit.wanted(f"'{_short(text)}' has a thousands separator; leave it out"))
+        raise ValueError(unit.wanted(f"'{_short(text)}' is not {unit.noun}"))
     number, unit_text = float(match[1]), match[2]
     if not unit_text:
         raise ValueError(unit.wanted(f"'{_short(text)}' has no unit"))

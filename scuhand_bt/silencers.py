@@ -77,12 +77,12 @@ def without_silenced(found: Iterable[Problem], files: Iterable[Path], unsure: Co
     for key, silencer in silencers.items():
         if key not in used and silencer.mark.file not in wrong and silencer.code not in unsure:
             known = [code for code, finding in FINDINGS.items() if finding.is_warning]
-            what = f"'{silencer.code}' is silenced here, and nothing is found"
+            what = f"'{silencer.code}' is silenced here, but this line has no such warning"
             if silencer.code not in known:
-                what = f"'{silencer.code}' is no warning"
+                what = f"'{silencer.code}' is not a warning"
                 unused.add(
                     silencer.mark, what, unknown=silencer.code, known=known, code="unused-silencer", is_warning=True
                 )
             else:
-                unused.warn(silencer.mark, what, "take it away", code="unused-silencer")
+                unused.warn(silencer.mark, what, "remove it", code="unused-silencer")
     return kept + unused.found

@@ -117,7 +117,7 @@ class PowderBelief(Spec):
     def little_comes(self) -> str:
         """That in words, where it is too much."""
         parts = f"'threshold', {self.threshold_mm:g} mm, and 'narrowest', {self.narrowest_mm:g} mm above it"
-        return f"little comes up to the belief's {parts}"
+        return f"little flows up to the belief's {parts}"
 
 
 BALANCE_SHAPES = ("ringing", "lively", "two poles", "one pole", "mean", "late", "delay")
@@ -127,7 +127,7 @@ BALANCE_SHAPES = ("ringing", "lively", "two poles", "one pole", "mean", "late", 
 def _known_shape(shape: str) -> str:
     """What another version of this program has learnt may be of another kind."""
     if shape not in BALANCE_SHAPES:
-        raise ValueError(f"no kind of balance is called '{shape}'; there are {', '.join(BALANCE_SHAPES)}")
+        raise ValueError(f"unknown kind of balance '{shape}'; known: {', '.join(BALANCE_SHAPES)}")
     return shape
 
 
@@ -209,7 +209,7 @@ class Powder(Spec):
     def _lets_powder_through(self) -> Self:
         if self.max_opening_mm <= self.belief.threshold_mm:
             widest, least = f"{self.max_opening_mm:g} mm", f"{self.belief.threshold_mm:g} mm"
-            raise ValueError(f"'max_opening' is {widest}, and nothing comes up to the belief's 'threshold', {least}")
+            raise ValueError(f"'max_opening' is {widest}, and nothing flows up to the belief's 'threshold', {least}")
         if self.max_opening_mm <= self.belief.least_mm:
             raise ValueError(f"'max_opening' is {self.max_opening_mm:g} mm, and {self.belief.little_comes}")
         if self.paper.max_opening_mm <= self.belief.least_mm:

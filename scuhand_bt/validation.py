@@ -21,7 +21,7 @@ def validate(model: type[M], node: Node, problems: Problems, known: str = "", **
     if not isinstance(node, Entries):
         problems.add(
             node.mark,
-            f"{describe(node)} stands where {known or 'a mapping (key: value)'} should be",
+            f"expected {known or 'a mapping (key: value)'}, found {describe(node)}",
             code="wrong-shape",
         )
         return None
@@ -62,7 +62,7 @@ def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems)
         known = _keys_at(model, error["loc"][:-1])
         problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known, code="unknown-key")
     elif error["type"] == "missing" and isinstance(owner, Items):
-        problems.add(mark, f"'{name}': {counted(len(owner.items), 'value')}, and more belong there", code="missing-key")
+        problems.add(mark, f"'{name}' has {counted(len(owner.items), 'value')}, and needs more", code="missing-key")
     elif error["type"] == "missing":
         problems.add(mark, f"'{name}' is missing", code="missing-key")
     else:

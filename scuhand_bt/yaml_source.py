@@ -118,7 +118,7 @@ def read_text(path: Path, what: str, asked_at: Mark | None = None) -> str:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise refuse(f"does not exist; wanted {what}") from None
+        raise refuse(f"does not exist; expected {what}") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if len(raw) > MAX_BYTES:
@@ -132,7 +132,7 @@ def read_text(path: Path, what: str, asked_at: Mark | None = None) -> str:
         what = "is not UTF-8 text; save it as UTF-8 (Excel: 'CSV UTF-8')"
         raise SourceError([Problem(mark, what, "unreadable")]) from None
     if not text.strip():
-        raise refuse(f"is empty; wanted {what}")
+        raise refuse(f"is empty; expected {what}")
     return text
 
 
@@ -155,22 +155,22 @@ def parse(text: str, file: str, what: str) -> Node:
         problem = _YAML_PROBLEMS.get(problem, problem)
         if "'\\t'" in problem or "\t" in _line(text, mark.line)[: mark.column + 1]:
             problem = "a tab; YAML is indented with spaces"
-        raise SourceError([Problem(mark, f"is no valid YAML: {problem}", "bad-yaml")]) from None
+        raise SourceError([Problem(mark, f"is not valid YAML: {problem}", "bad-yaml")]) from None
     except yaml.reader.ReaderError as error:
         before = text.encode()[: error.position].decode(errors="ignore")
         mark = Mark(file, before.count("\n") + 1, len(before) - before.rfind("\n"))
-        raise SourceError([Problem(mark, f"is no valid YAML: {error.reason}", "bad-yaml")]) from None
+        raise SourceError([Problem(mark, f"is not valid YAML: {error.reason}", "bad-yaml")]) from None
     if reader.root is None:
-        raise SourceError([Problem(Mark(file), f"is empty; wanted {what}", "unreadable")])
+        raise SourceError([Problem(Mark(file), f"is empty; expected {what}", "unreadable")])
     return reader.root
 
 
 _YAML_PROBLEMS = {
     "found unexpected end of stream": "a quote is not closed",
-    "mapping values are not allowed in this context": "a ':' too many; look at the indentation, or quote the text",
+    "mapping values are not allowed in this context": "one ':' too many; check the indentation, or quote the text",
     "could not find expected ':'": "a ':' is missing before this",
-    "did not find expected key": "no 'key: value' where one should be; look at the indentation",
-    "did not find expected '-' indicator": "no '- ' where one should be; look at the indentation",
+    "did not find expected key": "a 'key: value' is missing here; check the indentation",
+    "did not find expected '-' indicator": "a '- ' is missing here; check the indentation",
     "did not find expected node content": "a bracket is not closed, or a value is missing",
     "did not find expected ',' or '}'": "a '}' or a ',' is missing",
     "did not find expected ',' or ']'": "a ']' or a ',' is missing",
@@ -221,7 +221,7 @@ class _Reader:
             if target is None:
                 self._refuse(mark, f"the alias *{name} has no anchor &{name} before it")
             if any(target is node for node in self._open):
-                self._refuse(mark, f"the alias *{name} stands inside its own anchor")
+                self._refuse(mark, f"the alias *{name} is inside its own anchor")
             self._place(target, None)
         elif isinstance(event, yaml.DocumentStartEvent) and self.root is not None:
             self._refuse(mark, "a second document begins here; one file holds one document")
@@ -234,7 +234,7 @@ class _Reader:
     def _place(self, node: Node, anchor: str | None) -> None:
         self._count += self._sizes.get(id(node), 1)
         if self._count > MAX_NODES:
-            self._refuse(node.mark, "is too large once its aliases are expanded")
+            self._refuse(node.mark, "is too large when its aliases are expanded")
         if len(self._open) + self._heights.get(id(node), 1) > MAX_DEPTH:
             self._refuse(node.mark, f"is nested deeper than {MAX_DEPTH} levels")
         if anchor is not None:
@@ -251,7 +251,7 @@ class _Reader:
             if not isinstance(node, Scalar) or node.text is None:
                 self._refuse(node.mark, "a key must be one word")
             if node.text in parent.keys:
-                self._refuse(node.mark, f"the key '{shorten(node.text)}' stands here a second time")
+                self._refuse(node.mark, f"the key '{shorten(node.text)}' is here a second time")
             self._pending_keys[-1] = node
             return
         assert key.text is not None

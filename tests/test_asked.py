@@ -19,7 +19,7 @@ samples:
 INPUTS = "source: Source, container: Container, mass: Mass, tolerance: Mass"
 FILL = "fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}"
 PLACE = "place_container: {container: $container}"
-NOTHING = "1:1: sample 'a' asks for 50 mg, and 'mine' doses nothing into its container; let it dispense $mass there"
+NOTHING = "1:1: sample 'a' asks for 50 mg, but 'mine' doses nothing into its container; let it dispense $mass there"
 SAMPLE = "id: a, source: beads, container: xrd_holder, mass: 50 mg, tolerance: 2 mg"
 
 
@@ -67,15 +67,15 @@ def test_a_workflow_that_can_dose_what_is_asked_is_not_refused(
     [
         (
             [PLACE, FILL.replace("$mass", "25 mg")],
-            ["6:60: no dose is of the 50 mg that sample 'a' asks for; this one is of 25 mg; write $mass"],
+            ["6:60: sample 'a' asks for 50 mg, but no dose has that mass; this one has 25 mg; write $mass"],
         ),
         (
             [PLACE, "fallback: [{park: }, {" + FILL.replace("$mass", "25 mg") + "}]"],
-            ["6:82: no dose is of the 50 mg that sample 'a' asks for; this one is of 25 mg; write $mass"],
+            ["6:82: sample 'a' asks for 50 mg, but no dose has that mass; this one has 25 mg; write $mass"],
         ),
         (
             [PLACE, FILL, FILL.replace("$mass", "60 mg")],
-            ["7:60: no dose is of the 50 mg that sample 'a' asks for; this one is of 60 mg; write $mass"],
+            ["7:60: sample 'a' asks for 50 mg, but no dose has that mass; this one has 60 mg; write $mass"],
         ),
         (
             [PLACE, "scoop: {source: $source}"],
@@ -83,15 +83,15 @@ def test_a_workflow_that_can_dose_what_is_asked_is_not_refused(
         ),
         (
             [PLACE, FILL.replace("$tolerance", "5 mg")],
-            ["6:78: the dose is within 5 mg, and sample 'a' asks for 2 mg; write $tolerance"],
+            ["6:78: sample 'a' asks for a tolerance of 2 mg, but this dose has one of 5 mg; write $tolerance"],
         ),
         (
             [PLACE, FILL.replace("$tolerance", "10 %")],
-            ["6:78: the dose is within 5 mg, and sample 'a' asks for 2 mg; write $tolerance"],
+            ["6:78: sample 'a' asks for a tolerance of 2 mg, but this dose has one of 5 mg; write $tolerance"],
         ),
         (
             [PLACE, "scoop: {source: $source}", "dispense: {mass: $mass, tolerance: $mass}"],
-            ["7:42: the dose is within 50 mg, and sample 'a' asks for 2 mg; write $tolerance"],
+            ["7:42: sample 'a' asks for a tolerance of 2 mg, but this dose has one of 50 mg; write $tolerance"],
         ),
     ],
 )
@@ -107,7 +107,7 @@ def test_a_tolerance_that_is_not_passed_on_is_the_callees_own_and_refused_at_the
 ) -> None:
     tight = SAMPLE.replace("tolerance: 2 mg", "tolerance: 1 mg")
     (problem,) = said(desk, lab_folder, PLACE, step.replace(", tolerance: $tolerance", ""), samples=(tight,))
-    assert problem == "6:7: the dose is within 2 mg, and sample 'a' asks for 1 mg; write $tolerance"
+    assert problem == "6:7: sample 'a' asks for a tolerance of 1 mg, but this dose has one of 2 mg; write $tolerance"
 
 
 CHOOSE = """
@@ -144,20 +144,19 @@ def test_the_place_is_that_of_the_literal_whatever_workflows_it_goes_through(des
     call = "inner: {s: $source, c: $container, much: $mass}"
     assert said(desk, lab_folder, PLACE, call) == []
     (problem,) = said(desk, lab_folder, PLACE, call.replace("$mass", "25 mg"))
-    assert problem.startswith("6:48: no dose is of the 50 mg")
+    assert problem.startswith("6:48: sample 'a' asks for 50 mg, but no dose has that mass")
     (problem,) = said(desk, lab_folder, PLACE, call.replace("}", ", near: 3 mg}"))
-    assert problem.startswith("6:61: the dose is within 3 mg")
+    assert problem.startswith("6:61: sample 'a' asks for a tolerance of 2 mg, but this dose has one of 3 mg")
     lab_folder.write("trees/inner.yaml", inner.replace("mass: $much", "mass: $s.amount"))
     found = said(desk, lab_folder, PLACE, call)
     assert "does not fit into 'xrd_holder'" in found[-1]
     problem = found[0]
-    assert problem.startswith("4:43: no dose is of the 50 mg that sample 'a' asks for; this one is of 20000 mg")
+    assert problem.startswith("4:43: sample 'a' asks for 50 mg, but no dose has that mass; this one has 20000 mg")
 
 
 def test_a_result_cannot_take_the_name_of_an_input(desk: Desk, lab_folder: LabFolder) -> None:
     assert said(desk, lab_folder, PLACE, "tare: {as: mass}", FILL) == [
-        "6:18: 'mass' is an input of this workflow, and stays what the workflow was given; "
-        "a name of its own for the result"
+        "6:18: 'mass' is an input of this workflow, which cannot be set again; give the result another name"
     ]
 
 
@@ -185,7 +184,7 @@ def test_each_powder_and_each_container_may_have_a_mass_of_its_own(
 @pytest.mark.parametrize("second", [into("second", "$salt"), into("first", "$salt", "msg")])
 def test_parts_that_only_add_up_to_what_is_asked_are_refused(desk: Desk, lab_folder: LabFolder, second: str) -> None:
     found = said(desk, lab_folder, into("first", "20 mg"), second, inputs=TWO, samples=(BOTH,))
-    assert [problem.split("; ")[1] for problem in found] == ["this one is of 20 mg", "this one is of 30 mg"]
+    assert [problem.split("; ")[1] for problem in found] == ["this one has 20 mg", "this one has 30 mg"]
 
 
 def test_what_goes_into_another_container_than_the_samples_own_is_not_what_it_asks(
@@ -208,7 +207,7 @@ def test_a_sample_must_fit_into_its_own_container_whatever_else_is_named_before_
 def test_one_place_that_is_wrong_for_many_samples_is_said_once(desk: Desk, lab_folder: LabFolder) -> None:
     samples = tuple(SAMPLE.replace("id: a", f"id: {name}") for name in "abc")
     (problem,) = said(desk, lab_folder, PLACE, FILL.replace("$mass", "25 mg"), samples=samples)
-    assert "sample 'a' asks for; this one is of 25 mg (and 2 more samples like it); write $mass" in problem
+    assert "no dose has that mass; this one has 25 mg (and 2 more samples like it); write $mass" in problem
 
 
 MIX_TREE = """\
@@ -245,7 +244,9 @@ def test_a_dose_that_is_asked_for_and_another_of_its_lot_behind_it_are_one(
     for one in problems:
         assert one.mark.line == 6
         if "dispensed" in mass:
-            assert "this later dose is of the same lot, into the same container: the two are one there" in one.message
+            assert (
+                "this later dose puts the same lot into the same container: it only adds what is missing" in one.message
+            )
 
 
 AGAIN = FILL.replace("$mass", "$gross")

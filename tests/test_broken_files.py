@@ -17,7 +17,7 @@ samples:
 SKILL = "from scuhand_bt.skill import Skill\n\nclass Sieve(Skill[None]):\n    pass\n"
 BREAKS = {
     "an empty sequence": ("trees/half.yaml", "workflow: half\ntree:\n  sequence:\n", "trees/half.yaml:3:12: "),
-    "no YAML": ("trees/half.yaml", "workflow: half\ntree: {a: [\n", "trees/half.yaml:3:1: is no valid YAML"),
+    "no YAML": ("trees/half.yaml", "workflow: half\ntree: {a: [\n", "trees/half.yaml:3:1: is not valid YAML"),
     "a skill": ("skills/sieve.py", SKILL, "skills/sieve.py:3:1: Sieve has no docstring"),
     "a skill that is no Python": ("skills/sieve.py", "def (:\n", "skills/sieve.py:1:5: the skill cannot be loaded"),
 }
@@ -59,7 +59,7 @@ def test_a_file_that_nothing_uses_is_told_of_and_stops_nothing(
         ("robot/powders.yaml", "repose: 25 deg", "repose: 25 kg", "11: 'repose': 'kg' is a unit"),
         ("robot/containers.yaml", "mouth: 20 mm", "mouth: 20 s", "12: 'mouth': 's' is a unit"),
         ("robot/containers.yaml", "bore: 90 mm", "bore: 90 s", "11: 'bore': 's' is a unit"),
-        ("robot/powders.yaml", "1.5 g/cm^3\n  repose:", "[1.5 g/cm^3\n  repose:", "9: is no valid YAML"),
+        ("robot/powders.yaml", "1.5 g/cm^3\n  repose:", "[1.5 g/cm^3\n  repose:", "9: is not valid YAML"),
     ],
 )
 def test_what_uses_it_is_refused_with_what_is_wrong_in_it_and_nothing_beside_the_point(

@@ -159,7 +159,7 @@ def test_behaviortree_cpp_loads_and_ticks_every_shipped_workflow(starter: Lab, n
 
 def test_a_file_that_is_no_tree_is_refused_in_a_line() -> None:
     for text, said in (
-        ("<root>", "is no XML"),
+        ("<root>", "is not XML"),
         ("<!DOCTYPE x [<!ENTITY a 'b'>]><root/>", "which are not accepted"),
         ('<root><BehaviorTree ID="x"/></root>', "the tree 'x' has 0 children"),
         ('<root><BehaviorTree ID="x"><Inverter/></BehaviorTree></root>', "Inverter has 0 children"),

@@ -99,7 +99,7 @@ def test_a_lab_finds_its_mesh_beside_its_cell_and_plans_anew_when_the_file_chang
     ("mesh", "text", "said"),
     [
         ("none.stl", None, "'none.stl' cannot be read: No such file or directory"),
-        ("fixture.step", "solid", "is no STL and no OBJ file"),
+        ("fixture.step", "solid", "is neither an STL nor an OBJ file"),
     ],
 )
 def test_a_mesh_that_is_not_there_is_told_of_where_it_is_written(

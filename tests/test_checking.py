@@ -41,7 +41,7 @@ def test_a_warning_stops_nothing_and_counts_as_an_error_if_wished(command: Call,
     assert checked(command, lab, "--strict") == (2, [warning])
     shown = command("check", lab.folder / "recipes" / "one.yaml", "--fast").stdout
     assert (
-        "trees/mine.yaml:6:18: warning: the result 'gross' is not used; $gross, or leave 'as' out [unused-result]"
+        "trees/mine.yaml:6:18: warning: the result 'gross' is not used; use $gross, or leave 'as' out [unused-result]"
         in shown
     )
     assert "1 sample, no problem found; 1 warning." in shown
@@ -264,4 +264,4 @@ def test_a_skill_has_the_devices_that_it_leases(lab: LabFolder, tmp_path: Path) 
 @pytest.mark.usefixtures("desk")
 def test_a_default_that_belongs_at_the_top_is_sent_there(desk: Desk) -> None:
     text = RECIPE.replace("workflow: mine\n", "").replace("samples:", "defaults: {workflow: fill_xrd_holder}\nsamples:")
-    assert any("it stands at the top of the recipe" in problem for problem in desk.problems(text))
+    assert any("write it at the top of the recipe" in problem for problem in desk.problems(text))

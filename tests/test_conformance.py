@@ -106,7 +106,7 @@ def test_a_module_of_the_lab_may_be_the_balances(lab_folder: LabFolder) -> None:
             "nobody.here:THING",
             "driver 'nobody.here:THING': module 'nobody.here' cannot be imported",
         ),
-        ("math:pi", "driver 'math:pi': 'pi' is no Driver; math has: none"),
+        ("math:pi", "driver 'math:pi': 'pi' is not a Driver; math has: none"),
     ],
 )
 def test_what_cannot_be_plugged_in_is_a_located_problem(lab_folder: LabFolder, driver: str, problem: str) -> None:
@@ -289,8 +289,8 @@ def test_a_driver_of_an_installed_package_is_named_by_its_entry_point(
         (("baud", "buad"), "unknown key 'buad'; known: baud, bits; did you mean 'baud'?"),
         (("vaisala", "visala"), "'driver': 'visala' is not accepted; write 'vaisala', package.module:NAME"),
         (("kind: sensor", "kind: ear"), "'kind': 'ear' is not accepted"),
-        (("room:", "arm:"), "'arm' names none"),
-        (("/dev/ttyUSB7", "/dev/ttyUSB1"), "the room is on /dev/ttyUSB1, and so is the balance"),
+        (("room:", "arm:"), "'arm' is not a valid name"),
+        (("/dev/ttyUSB7", "/dev/ttyUSB1"), "the room and the balance are both on /dev/ttyUSB1"),
     ],
 )
 def test_what_is_wrong_with_a_further_device_is_located(
@@ -388,7 +388,7 @@ def test_a_skill_leases_a_device_by_its_name_and_a_dry_run_has_it_simulated(
 @pytest.mark.parametrize(
     ("wrong", "problem"),
     [
-        ('devices = ("room",)', "the codes is used here, and 'devices' does not lease it"),
+        ('devices = ("room",)', "the codes is used here, but 'devices' does not lease it"),
         ('devices = ("room", "codse")', "names an unknown device 'codse'; known: arm, balance, changer, codes"),
     ],
 )

@@ -34,7 +34,7 @@ def test_a_code_is_explained_with_what_to_do_and_who_raises_it(explain: Call) ->
         "Raised by: the skill cone_holds; the skill dispense.",
         "Tried again by the workflows: fill.",
     ]
-    assert "  ask          ask the operator which of the others it shall be" in said
+    assert "  ask          ask the operator to choose one of the others" in said
     assert "  stop         stop the batch  (the default)" in said
 
 
@@ -42,7 +42,7 @@ def test_a_code_is_explained_with_what_to_do_and_who_raises_it(explain: Call) ->
 def test_what_no_policy_meets_is_not_said_to_be_for_a_policy(explain: Call, code: str) -> None:
     """`check` warns of it in an `on_failure`."""
     said = explain(code)[1].splitlines()
-    assert said[-1] == "No `on_failure` is asked: it ends the run, or is told of a sample whose job is over."
+    assert said[-1] == "`on_failure` does not apply: it ends the run, or concerns a sample whose job is over."
     assert not any("the default" in line for line in said)
 
 
@@ -88,14 +88,17 @@ def test_a_skill_that_raises_a_code_nobody_explained_is_told_where(lab_folder: L
     lab_folder.replace("skills/tare.py", "SkillFailed(Code.CONTAINER_MISSING", 'SkillFailed("container.mising"')
     (problem,) = lab_folder.problems()
     assert problem.startswith("skills/tare.py:")
-    assert "'container.mising' is no failure code of the catalogue, nor of this skill's own 'failures'" in problem
+    assert (
+        "unknown failure code 'container.mising': it is neither in the catalogue nor in this skill's 'failures'"
+        in problem
+    )
     assert "did you mean 'container.missing'?" in problem
 
 
 def test_a_constant_that_the_catalogue_has_not_is_told_where(lab_folder: LabFolder) -> None:
     lab_folder.replace("skills/tare.py", "SkillFailed(Code.CONTAINER_MISSING", "SkillFailed(Code.CONTAINER_MISING")
     (problem,) = lab_folder.problems()
-    assert "'Code.CONTAINER_MISING' is no failure code" in problem
+    assert "unknown failure code 'Code.CONTAINER_MISING': it is" in problem
 
 
 @pytest.mark.parametrize("raises", ['("hand.cone_emty",)', '"hand.cone_empty"'])
@@ -135,7 +138,7 @@ def test_who_is_said_to_raise_a_code_does_so(starter: Lab) -> None:
     [
         ('{"hand.valve_zero": "open"}', "'failures' of CheckValve is wrong; failures = {"),
         ("()", "'failures' of CheckValve is wrong"),
-        ('{"dose.overshoot": Failure("", "")}', "has 'dose.overshoot', which the catalogue has already"),
+        ('{"dose.overshoot": Failure("", "")}', "has 'dose.overshoot', which is already in the catalogue"),
     ],
 )
 def test_a_skills_own_failures_are_checked(lab_folder: LabFolder, failures: str, said: str) -> None:

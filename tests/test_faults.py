@@ -72,10 +72,13 @@ def came(ran: Ran) -> list[list[float]]:
         ("faults:\n  - {fault: scoop.nothing, for: 3 s}", "2:28: 'scoop.nothing' is over in a moment"),
         ("faults:\n  - {fault: valve.slow, at: 1 s, times: 2}", "2:34: 'at' comes once in a run"),
         ("faults:\n  - {at: 1 s}", "2:5: 'fault' is missing"),
-        ("faults:\n  - valve.slow", "2:5: 'valve.slow' stands where a rule"),
+        (
+            "faults:\n  - valve.slow",
+            "2:5: expected a rule, such as {fault: balance.silent, at: 2 min}, found 'valve.slow'",
+        ),
         ("faults: []", "1:9: 'faults': an empty list names no fault"),
         ("fault: []", "1:1: unknown key 'fault'; known: faults; did you mean 'faults'?"),
-        ("[]", "1:1: an empty list stands where a fault file should be"),
+        ("[]", "1:1: expected a fault file, found an empty list"),
     ],
 )
 def test_a_mistake_is_said_with_its_place(text: str, problem: str) -> None:

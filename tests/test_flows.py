@@ -134,7 +134,7 @@ samples:
     [
         (
             *("[li, co]", "[400 mg, 800 mg]", "[10 mg, 0.05 mg]"),
-            ["r.yaml:8:18: the tolerance 0.05 mg cannot be told with a readability of 0.1 mg; at least 0.2 mg"],
+            ["r.yaml:8:18: the tolerance 0.05 mg is too fine for a readability of 0.1 mg; at least 0.2 mg"],
         ),
         (
             *("[]", "[]", "[]"),

@@ -257,7 +257,7 @@ def test_a_workflow_that_the_format_has_no_word_for_runs_and_is_not_shown(
     result = run(api.open_lab(lab_folder.folder), tmp_path, publisher, look, recipe)
     assert (result.exit_code, result.reason) == (0, "")
     assert said[0] == said[2] == b"error"
-    assert b"a 'switch' of 1 cases cannot stand in a file of BehaviorTree.CPP" in said[1]
+    assert b"a 'switch' of 1 cases cannot be written for BehaviorTree.CPP" in said[1]
 
 
 @pytest.mark.slow

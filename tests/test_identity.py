@@ -39,11 +39,11 @@ def said(desk: Desk, *ids: str, name: str = "ids") -> list[str]:
         ("ｘrd", "'ｘrd' can be written in several ways; write 'xrd'"),
         (unicodedata.normalize("NFD", "é1"), "can be written in several ways; write 'é1'"),
         ("x²", "can be written in several ways; write 'x2'"),
-        ("x\u200b1", "is no id"),
-        ("x\u202e1", "is no id"),
-        ("x٣", "is no id"),
-        ("ɑ1", "is no id"),
-        ("xı", "is no id"),
+        ("x\u200b1", "is not a valid id"),
+        ("x\u202e1", "is not a valid id"),
+        ("x٣", "is not a valid id"),
+        ("ɑ1", "is not a valid id"),
+        ("xı", "is not a valid id"),
     ],
 )
 def test_an_id_that_may_look_like_another_is_refused_with_its_place(desk: Desk, text: str, why: str) -> None:
@@ -55,11 +55,11 @@ def test_an_id_that_may_look_like_another_is_refused_with_its_place(desk: Desk, 
 @pytest.mark.parametrize(
     ("second", "why"),
     [
-        ("XRD-10", "'XRD-10' differs from 'xrd-10' by case alone; first in line 7"),
+        ("XRD-10", "'XRD-10' differs from 'xrd-10' only by case; first in line 7"),
         ("xrd-1O", "'xrd-1O' looks like 'xrd-10'; first in line 7"),
         ("xrd-l0", "'xrd-l0' looks like 'xrd-10'; first in line 7"),
         ("xrd-I0", "'xrd-I0' looks like 'xrd-10'; first in line 7"),
-        ("хга-10", "'хга-10' is in another script than 'xrd-10'; first in line 7"),
+        ("хга-10", "'хга-10' is written in another script than 'xrd-10'; first in line 7"),
     ],
 )
 def test_of_two_ids_that_look_alike_the_second_is_refused(desk: Desk, second: str, why: str) -> None:

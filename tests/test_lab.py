@@ -24,7 +24,7 @@ def test_the_nearest_lab_upward_from_the_recipe_is_used(lab_folder: LabFolder, t
 
 def test_a_chosen_folder_that_is_no_lab_is_refused(tmp_path: Path) -> None:
     (problem,) = problems_of(lambda: find_lab(None, tmp_path))
-    assert "is no lab; a lab has robot/cell.yaml; `scuhand-bt init DIR` makes one" in problem
+    assert "is not a lab; a lab has robot/cell.yaml; `scuhand-bt init DIR` makes one" in problem
 
 
 def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
@@ -41,8 +41,8 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
         ("cell", "readability: 0.1 mg", "readabilty: 0.1 mg", "unknown key 'readabilty'"),
         ("cell", "readability: 0.1 mg", "readabilty: 0.1 mg", "did you mean 'readability'?"),
         ("cell", "kind: mortar,", "kind: mortr,", "'kind': 'mortr' is not accepted"),
-        ("cell", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240 mm]", "'position': 2 values, and more belong there"),
-        ("cell", "[200 mm,  240 mm, 0 mm]", "[200 mm]", "'position': 1 value, and more belong there"),
+        ("cell", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240 mm]", "'position' has 2 values, and needs more"),
+        ("cell", "[200 mm,  240 mm, 0 mm]", "[200 mm]", "'position' has 1 value, and needs more"),
         ("cell", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240, 0 mm]", "'position': '240' has no unit"),
         ("cell", "{kind: park, ", "{kind: service, ", "the cell has no station of kind 'park'"),
         ("cell", "stations:", "geometri:", "the cell has no station of kind 'balance'"),
@@ -68,19 +68,19 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
             "powders",
             "repose: 25 deg",
             "repose: 25 deg\n  max_opening: 0.05 mm",
-            "'max_opening' is 0.05 mm, and nothing comes up to the belief's 'threshold', 0.05 mm",
+            "'max_opening' is 0.05 mm, and nothing flows up to the belief's 'threshold', 0.05 mm",
         ),
         (
             "powders",
             "paper: {gain: 0.33, max_opening: 2.4 mm}",
             "paper: {gain: 0.33, max_opening: 0.1 mm}",
-            "'max_opening' of 'paper' is 0.1 mm, and little comes up to the belief's 'threshold', 0.05 mm, and",
+            "'max_opening' of 'paper' is 0.1 mm, and little flows up to the belief's 'threshold', 0.05 mm, and",
         ),
         (
             "powders",
             "threshold: 0.05 mm,",
             "threshold: 0.05 mm, narrowest: 5 mm,",
-            "'max_opening' is 2.4 mm, and little comes up to the belief's 'threshold', 0.05 mm, and 'narrowest', 5 mm",
+            "'max_opening' is 2.4 mm, and little flows up to the belief's 'threshold', 0.05 mm, and 'narrowest', 5 mm",
         ),
         ("powders", "repose: 25 deg", "repose: 25 %", "'%' is a unit of ratio, not of angle"),
         ("powders", "repose: 25 deg", "name: x", "unknown key 'name'"),
@@ -110,7 +110,7 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
         ("containers", "depth: 30 mm", "depth: 30 mm\n    corner: 31 mm", "at most the depth, and half the bore"),
         ("containers", "depth: 30 mm", "depth: 30 mm\n    corner: 0 mm", "39:13: 'corner': '0 mm' is not accepted"),
         ("containers", "depth: 30 mm", "depth: 30 mm\n    corner:", "39:12: 'corner' is empty"),
-        ("containers", "capacity: 4 cm^3", "capacity: 4 cm^2", "'cm^2' is no unit of volume"),
+        ("containers", "capacity: 4 cm^3", "capacity: 4 cm^2", "'cm^2' is not a unit of volume"),
     ],
 )
 def test_what_is_wrong_in_the_robot_folder_is_said_in_its_place(
@@ -154,8 +154,8 @@ def test_a_missing_or_empty_file_is_one_line(lab_folder: LabFolder) -> None:
     (lab_folder.folder / "robot" / "powders.yaml").unlink()
     lab_folder.write("trees/empty.yaml", "")
     assert lab_folder.problems() == [
-        "robot/powders.yaml:1:1: does not exist; wanted the lab's powders.yaml",
-        "trees/empty.yaml:1:1: is empty; wanted a workflow",
+        "robot/powders.yaml:1:1: does not exist; expected the lab's powders.yaml",
+        "trees/empty.yaml:1:1: is empty; expected a workflow",
     ]
 
 
@@ -169,10 +169,10 @@ HEAD = "from scuhand_bt.skill import Cell, Condition, Seconds, Skill, Steps\n"
         ("x = 1\ndef f(:\n", "skills/sieve.py:2:7: the skill cannot be loaded: SyntaxError"),
         ("import nosuchmodule\n", "skills/sieve.py:1:1: the skill cannot be loaded: ModuleNotFoundError"),
         ("import sys\nsys.exit(3)\n", "skills/sieve.py:2:1: the skill cannot be loaded: SystemExit: 3"),
-        ("x = 1\n", "a skill's file holds one Skill class; here: none"),
+        ("x = 1\n", "a skill's file must have exactly one Skill class; this one has: none"),
         (
             HEAD + "class A(Skill[None]):\n    'a'\n    def run(self, cell): yield from ()\nclass B(A):\n    'b'\n",
-            "here: A, B",
+            "this one has: A, B",
         ),
         (
             HEAD + "class A(Skill[None]):\n    def run(self, cell): yield from ()\n",
@@ -182,7 +182,7 @@ HEAD = "from scuhand_bt.skill import Cell, Condition, Seconds, Skill, Steps\n"
         (HEAD + "class A(Condition):\n    'a'\n", "A has no 'check'"),
         (
             HEAD + "class A(Skill[None]):\n    'a'\n    devices = ('hand')\n    def run(self, cell): yield from ()\n",
-            "'devices' of A is no tuple; devices = (\"hand\",), with the comma",
+            "'devices' of A is not a tuple; devices = (\"hand\",), with the comma",
         ),
         (
             HEAD + "class A(Skill[None]):\n    'a'\n    devices = ('hnd',)\n    def run(self, cell): yield from ()\n",
@@ -217,7 +217,7 @@ def test_names_are_given_once(lab_folder: LabFolder) -> None:
     )
     assert [problem.split(":", 3)[0] + problem.split(":", 3)[3].split(";")[0] for problem in lab_folder.problems()] == [
         "skills/repeat.py 'repeat' is a word of the workflow language",
-        "trees/park.yaml 'park' is a skill already",
+        "trees/park.yaml 'park' is already a skill",
         "trees/retry.yaml 'retry' is a word of the workflow language",
     ]
 

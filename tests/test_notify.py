@@ -169,8 +169,8 @@ def test_a_notifier_keeps_nobody_waiting_and_gives_its_errors_at_the_end(server:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("{}", "it names one: a 'command', or a 'webhook'"),
-        ("{command: [mail], webhook: 'http://localhost'}", "it names one"),
+        ("{}", "write either a 'command' or a 'webhook'"),
+        ("{command: [mail], webhook: 'http://localhost'}", "write either a"),
         ("{command: []}", "'command' names no program"),
         ("{command: mail}", "'mail' is not accepted"),
         ("{webhook: 'ftp://localhost/x'}", "'ftp://localhost/x' is not accepted; a web address, such as"),

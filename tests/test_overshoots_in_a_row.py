@@ -188,4 +188,6 @@ def test_the_reason_is_told_by_runs_and_show_and_explained(command: Call, lab_fo
 def test_a_limit_that_is_no_number_is_told_where_it_stands(lab_folder: LabFolder, limit: str) -> None:
     path = lab_folder.write("recipes/r.yaml", "\n".join(SIX.split("\n")[1:]) + f"overshoot_limit: {limit}\n")
     problems = problems_of(lambda: load_recipe(path, lab_folder.load()))
-    assert any(f"13:18: 'overshoot_limit': '{limit}' is no number of samples" in problem for problem in problems)
+    assert any(
+        f"13:18: 'overshoot_limit' must be a number of samples, not '{limit}'" in problem for problem in problems
+    )

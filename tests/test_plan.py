@@ -244,7 +244,7 @@ def test_a_forecast_that_breaks_is_said_where_the_skill_is_called(desk: Desk, la
         plan_of(desk)
     except Exception as error:
         said = str(error)
-    assert "scoop_and_dispense.yaml:11:7: the forecast of 'park' broke: ZeroDivisionError" in said
+    assert "scoop_and_dispense.yaml:11:7: the forecast of 'park' failed: ZeroDivisionError" in said
 
 
 DISCARDING = """
@@ -294,7 +294,7 @@ def test_a_mortar_whose_kept_powder_may_go_to_samples_of_another_of_its_lot_is_w
     assert not problems.errors
     told = [problem.message for problem in problems.found if problem.code == "source-lent"]
     assert len(told) == (lent is not None)
-    assert lent is None or f"in between, up to {lent}: it may run out" in told[0]
+    assert lent is None or f"another source of this lot, up to {lent}: it may run out" in told[0]
 
 
 @pytest.mark.parametrize(
@@ -318,4 +318,4 @@ def test_a_mortar_that_may_run_out_as_powder_is_discarded_is_warned_of(
     assert not problems.errors
     told = [problem.message for problem in problems.found if problem.code == "source-discarded"]
     assert len(told) == (gone is not None)
-    assert gone is None or f"some {gone} are discarded before the last one" in told[0]
+    assert gone is None or f"about {gone} are discarded before the last one" in told[0]

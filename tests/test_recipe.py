@@ -32,26 +32,26 @@ def test_the_shipped_recipes_have_no_problem(starter: object) -> None:
     [
         ("{id: a, mass: 50}", "7:19: 'mass': '50' has no unit; write a mass with its unit, such as"),
         ("{id: a, mass: 50 mm}", "7:19: 'mass': 'mm' is a unit of length, not of mass"),
-        ("{id: a, mass: }", "7:19: 'mass': nothing is no mass"),
+        ("{id: a, mass: }", "7:19: 'mass': nothing is not a mass"),
         ("{id: a, mass: {x: y}}", "7:19: 'mass': "),
         ("{id: a, mass: 0 mg}", "7:19: the mass is 0 mg; more than 0"),
         ("{id: a, masss: 50 mg}", "7:13: the workflow 'fill_xrd_holder' has no input 'masss'"),
         ("{id: a, masss: 50 mg}", "did you mean 'mass'?"),
         ("{id: a}", "7:5: 'mass' is missing; the workflow 'fill_xrd_holder' needs it (Mass)"),
         ("{mass: 50 mg}", "7:5: 'id' is missing"),
-        ("{id: a b, mass: 50 mg}", "7:10: 'a b' is no id"),
-        ("{id: ../a, mass: 50 mg}", "7:10: '../a' is no id"),
-        ("{id: 'a#2', mass: 50 mg}", "7:10: 'a#2' is no id"),  # a second attempt's container
-        ("{id: a/first, mass: 50 mg}", "7:10: 'a/first' is no id"),  # one of several containers
+        ("{id: a b, mass: 50 mg}", "7:10: 'a b' is not a valid id"),
+        ("{id: ../a, mass: 50 mg}", "7:10: '../a' is not a valid id"),
+        ("{id: 'a#2', mass: 50 mg}", "7:10: 'a#2' is not a valid id"),  # a second attempt's container
+        ("{id: a/first, mass: 50 mg}", "7:10: 'a/first' is not a valid id"),  # one of several containers
         ("{id: a, mass: 50 mg, container: xrd-holder}", "7:37: unknown container 'xrd-holder'"),
         ("{id: a, mass: 50 mg, container: xrd-holder}", "did you mean 'xrd_holder'?"),
         ("{id: a, mass: 50 mg, source: mgs}", "7:34: unknown source 'mgs'; known: msg; did you mean 'msg'?"),
         ("{id: a, mass: 50 mg, workflow: fill_xrd}", "7:36: unknown workflow 'fill_xrd'"),
-        ("{id: a, mass: 50 mg, tolerance: 0.05 mg}", "7:37: the tolerance 0.05 mg cannot be told"),
-        ("{id: a, mass: 50 mg, tolerance: 0.1 %}", "7:37: the tolerance 0.05 mg cannot be told"),
-        ("{id: a, mass: 50 mg, tolerance: 0.19 mg}", "with a readability of 0.1 mg; at least 0.2 mg"),
-        ("{id: a, mass: 50 mg, tolerance: 0 %}", "7:37: 'tolerance': '0 %' is no tolerance; more than 0 %"),
-        ("{id: a, mass: 50 mg, tolerance: 200 %}", "7:37: 'tolerance': '200 %' is no tolerance"),
+        ("{id: a, mass: 50 mg, tolerance: 0.05 mg}", "7:37: the tolerance 0.05 mg is too fine for"),
+        ("{id: a, mass: 50 mg, tolerance: 0.1 %}", "7:37: the tolerance 0.05 mg is too fine for"),
+        ("{id: a, mass: 50 mg, tolerance: 0.19 mg}", "is too fine for a readability of 0.1 mg; at least 0.2 mg"),
+        ("{id: a, mass: 50 mg, tolerance: 0 %}", "7:37: 'tolerance': '0 %' is not a tolerance; write more than 0 %"),
+        ("{id: a, mass: 50 mg, tolerance: 200 %}", "7:37: 'tolerance': '200 %' is not a tolerance"),
         ("{id: a, mass: 2 mg}", "7:19: the mass 2 mg is not more than its tolerance, 2 mg"),
         ("{id: a, mass: 200 mg}", "7:19: 200.0 mg of monosodium_glutamate (0.24 cm³) does not fit into 'xrd_holder'"),
         ("{id: a, mass: 200 mg}", "it holds 0.20 cm³, 170.0 mg"),
@@ -59,14 +59,14 @@ def test_the_shipped_recipes_have_no_problem(starter: object) -> None:
             "{id: a, container: alumina_crucible, mass: 90 g}",
             "are too heavy for the balance; its maximum is 120.0000 g",
         ),
-        ("{id: a, mass: 50 mg, repeat: 0}", "7:34: 'repeat': '0' is no number of samples; 1 to 20000"),
+        ("{id: a, mass: 50 mg, repeat: 0}", "7:34: 'repeat' must be a number of samples, not '0'; 1 to 20000"),
         ("{id: [a, b], mass: [1 mg, 2 mg, 3 mg]}", "7:24: 'mass' lists 3 values, but 'id' lists 2"),
         ("{id: [a, b], mass: [1 mg]}", "7:24: 'mass' lists 1 value, but 'id' lists 2"),
-        ("{id: [a, b], mass: 50 mg, repeat: 2}", "7:39: 'repeat' and a list stand in one sample"),
+        ("{id: [a, b], mass: 50 mg, repeat: 2}", "7:39: a sample has both 'repeat' and a list"),
         ("{id: a, mass: []}", "7:5: an empty list gives no sample"),
         ("{table: missing.csv}", "7:13: '"),
-        ("{table: [a.csv]}", "7:13: 'table': a list is no file name"),
-        ("nonsense", "7:5: 'nonsense' is no sample"),
+        ("{table: [a.csv]}", "7:13: 'table' must be a file name, not a list"),
+        ("nonsense", "7:5: a sample cannot be 'nonsense'"),
     ],
 )
 def test_what_is_wrong_with_a_sample_is_said_in_its_place(desk: Desk, line: str, said: str) -> None:
@@ -77,11 +77,11 @@ def test_what_is_wrong_with_a_sample_is_said_in_its_place(desk: Desk, line: str,
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("recipe: test", "recipe: ../../evil", "1:9: '../../evil' is no name for a recipe"),
+        ("recipe: test", "recipe: ../../evil", "1:9: '../../evil' is not a valid name for a recipe"),
         (
             "recipe: test",
             "recipe: test\norder: random",
-            "2:8: 'random' is no order; known: as_written, by_powder, fastest, persons_together",
+            "2:8: unknown order 'random'; known: as_written, by_powder, fastest, persons_together",
         ),
         ("recipe: test", "recipe: test\ncontroller: papr", "did you mean 'paper'?"),
         ("recipe: test", "recipe: test\nsample: []", "2:1: unknown key 'sample'"),
@@ -97,7 +97,7 @@ def test_what_is_wrong_with_a_sample_is_said_in_its_place(desk: Desk, line: str,
         ("amount: 6 g", "amount: 6 g, colour: white", "unknown key 'colour'; known: amount, container"),
         (", amount: 6 g", "", "4:8: 'amount' is missing"),
         ("tolerance: 2 mg", "tolerence: 2 mg", "did you mean 'tolerance'?"),
-        ("defaults: {", "defaults: [", "is no valid YAML"),
+        ("defaults: {", "defaults: [", "is not valid YAML"),
         ("sources:", "sourcs:", "did you mean 'sources'?"),
     ],
 )
@@ -151,10 +151,10 @@ def test_a_wrong_column_is_said_once_at_the_header(desk: Desk) -> None:
 def test_a_cell_that_is_refused_is_not_told_to_be_missing_as_well(desk: Desk) -> None:
     desk.write("t.csv", "id;mass [mg]\na;50,5\nb;1.000\n")
     (problem,) = desk.problems(HEAD + "  - {table: t.csv}\n")
-    assert "3:3: '1.000' could be thousands" in problem
+    assert "3:3: '1.000' could mean thousands" in problem
     desk.write("t.csv", "id;mass mg\na;50\nb;60\n")
     (problem,) = desk.problems(HEAD + "  - {table: t.csv}\n")
-    assert "1:4: 'mass mg' is no column name" in problem
+    assert "1:4: 'mass mg' is not a column name" in problem
 
 
 def test_tables_repeats_and_lists_become_samples(desk: Desk) -> None:
@@ -252,12 +252,12 @@ def test_an_unknown_key_of_a_source_hides_nothing_else(desk: Desk) -> None:
 def test_a_table_of_something_else_is_one_problem(desk: Desk) -> None:
     path = desk.write("other.csv", "name;colour\na;red\nb;blue\n")
     assert desk.problems(HEAD + f"  - {{table: {path.name}}}\n") == [
-        "1:1: has no column 'id', and so is no table of samples; id, container, mass [mg], …"
+        "1:1: has no column 'id', which a table of samples needs; such as id, container, mass [mg], …"
     ]
 
 
 def test_a_table_whose_id_is_written_otherwise_is_told_how_it_is_written(desk: Desk) -> None:
     path = desk.write("other.csv", "ID;mass [mg]\na;50\n")
     assert desk.problems(HEAD + f"  - {{table: {path.name}}}\n") == [
-        "1:1: has no column 'id', and so is no table of samples; write 'id' for 'ID'"
+        "1:1: has no column 'id', which a table of samples needs; write 'id' for 'ID'"
     ]

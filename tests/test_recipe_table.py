@@ -56,8 +56,8 @@ def test_what_may_be_a_thousand_or_one_is_not_guessed(
 ) -> None:
     rows, said = read(tmp_path / "t.csv", "id;mass [mg]\n1,5;{}\nb;{}\n".format(*cells))
     assert [row.get("mass") for row in rows] == ["50.5 mg", None]
-    why = f"'{mass}' could be thousands: this table's other numbers have '{decimal}' for decimals"
-    assert said == [f"3:3: {why}; write it without a sign for thousands"]
+    why = f"'{mass}' could mean thousands: this table's other numbers have '{decimal}' before decimals"
+    assert said == [f"3:3: {why}; write it without a thousands separator"]
 
 
 @pytest.mark.parametrize("cells", [("50,5", "0.125"), ("1.250", "1.000"), ("1.250", "1,000"), ("1,5", "1,000")])
@@ -93,15 +93,18 @@ def test_every_cell_knows_its_line_and_column(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("id,mass,id\na,1 mg,b\n", "1:9: the column 'id' stands here a second time"),
-        ("id,5 mg\na,1 mg\n", "1:4: '5 mg' is no column name; a name such as id, container, mass or mass [mg]"),
-        ("id,mass\na,1 mg,what\n", "2:8: 'what' stands beyond the last column; the header has 2"),
+        ("id,mass,id\na,1 mg,b\n", "1:9: the column 'id' is here a second time"),
+        (
+            "id,5 mg\na,1 mg\n",
+            "1:4: '5 mg' is not a column name; write a name such as id, container, mass or mass [mg]",
+        ),
+        ("id,mass\na,1 mg,what\n", "2:8: 'what' is beyond the last column; the header has 2"),
         ("id,mass\n", "1:1: has no rows below its header"),
         (";;\n", "1:1: has no rows below its header"),
-        ('id,mass\na,"1 mg\nb,2 mg\n', "2:1: is no valid CSV: unexpected end of data"),
+        ('id,mass\na,"1 mg\nb,2 mg\n', "2:1: is not valid CSV: unexpected end of data"),
         (b"id;mass\n\xe9;1 mg\n", "2:1: is not UTF-8 text; save it as UTF-8 (Excel: 'CSV UTF-8')"),
         ("id;mass\n".encode("utf-16"), "1:1: is not UTF-8 text; save it as UTF-8 (Excel: 'CSV UTF-8')"),
-        ("id,mass\na," + "x" * 200_000, "2:1: is no valid CSV: field larger than field limit (131072)"),
+        ("id,mass\na," + "x" * 200_000, "2:1: is not valid CSV: field larger than field limit (131072)"),
     ],
 )
 def test_what_is_wrong_with_a_table_is_said_with_its_place(tmp_path: Path, content: str | bytes, said: str) -> None:

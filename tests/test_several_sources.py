@@ -113,7 +113,7 @@ def test_all_that_comes_together_must_fit_into_the_container_and_on_the_balance(
     (said,) = desk.problems(recipe(f"id: a, container: xrd_holder, {MIXED}, more: 130 mg"))
     assert "100.0 mg of glass_beads" in said
     assert "130.0 mg of monosodium_glutamate and" in said
-    assert "do not fit into 'xrd_holder' with the 4.0 mg more that are in tolerance; it holds 0.20 cm³" in said
+    assert "do not fit into 'xrd_holder' with the 4.0 mg more that the tolerance allows; it holds 0.20 cm³" in said
     said = desk.problems(recipe(f"id: a, {MIXED}, mass: 45 g, more: 45 g"))[-2]
     assert "'alumina_crucible' (31.0000 g) and 90.0040 g are too heavy for the balance" in said
     assert desk.problems(recipe(f"id: a, {MIXED}, more: 0 mg")) == [
@@ -121,7 +121,7 @@ def test_all_that_comes_together_must_fit_into_the_container_and_on_the_balance(
     ]
 
 
-AMOUNT = "takes from one of several sources cannot be told before the run; dispense a mass that is written, an"
+AMOUNT = "takes from one of several sources is not known before the run; dispense a written mass, an"
 
 
 @pytest.mark.parametrize(
@@ -132,8 +132,8 @@ AMOUNT = "takes from one of several sources cannot be told before the run; dispe
         (
             "fallback: [{fill: {source: $first, container: $container, mass: 1 g}}, "
             "{fill: {source: $second, container: $container, mass: 1 g}}]",
-            "4:3: which of glass_beads, monosodium_glutamate the sheet has touched after this 'fallback' is known only "
-            "when it runs; sources of one powder and lot, or a sequence",
+            "4:3: which of glass_beads, monosodium_glutamate the sheet has touched after this 'fallback' is not known "
+            "before the run; use sources of one powder and lot, or a sequence",
         ),
     ],
 )
@@ -171,9 +171,7 @@ def test_a_source_that_is_picked_only_in_the_run_is_refused(desk: Desk, lab: Lab
     (found,) = problems_of_tree(desk, lab, f"sequence: [{{pick: {{source: $first, as: one}}}}, {fill}]")
     where, what = found.split(": ", 1)
     assert where == "4:57"
-    assert what == (
-        "which source 'fill' is given is known only when it runs: $one; an input of this workflow can be told before"
-    )
+    assert what == ("which source 'fill' gets is not known before the run: $one; use an input of this workflow")
 
 
 def test_how_often_a_dose_is_repeated_needs_not_be_known_as_it_counts_what_is_there(desk: Desk, lab: LabFolder) -> None:

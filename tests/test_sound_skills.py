@@ -86,7 +86,7 @@ def test_what_a_skill_takes_from_its_lab_is_part_of_it(
     assert lab_folder.problems() == []
     lab_folder.write(theirs, STEPS + WAITED + other)
     (problem,) = lab_folder.problems()
-    assert problem.startswith("skills/sieve.py:12:9: `shake(…)` does nothing by itself")
+    assert problem.startswith("skills/sieve.py:12:9: `shake(…)` does nothing unless it is waited for")
 
 
 def test_what_is_wrong_is_said_each_time(lab_folder: LabFolder) -> None:

@@ -54,12 +54,12 @@ def test_ask_is_an_action_and_the_plan_says_when_a_person_may_be_asked(desk: Des
 
 def test_an_action_that_is_none_lists_those_that_are(desk: Desk) -> None:
     (problem,) = desk.problems(RECIPE + "on_failure: {otherwise: asks}\n")
-    assert problem == ("9:25: 'asks' is no action; known: ask, flag, redo, skip_sample, stop; did you mean 'ask'?")
+    assert problem == ("9:25: 'asks' is not an action; known: ask, flag, redo, skip_sample, stop; did you mean 'ask'?")
 
 
 def test_an_unattended_plan_with_ask_is_refused_where_the_policy_stands(desk: Desk) -> None:
     assert refusals(plan_of(desk, "on_failure: {hand.no_flow: ask}\n")) == [
-        "9:28: this run is to be unattended, but a person is perhaps needed: "
+        "9:28: an unattended run cannot wait for a person, but one is perhaps needed: "
         "to say what to do if a sample fails with hand.no_flow"
     ]
 
@@ -69,7 +69,9 @@ def test_each_place_that_needs_a_person_is_told_once(desk: Desk, lab_folder: Lab
     lab_folder.replace("trees/after_failure.yaml", "    - park:", "    - ask_operator: {question: Look}\n    - park:")
     desk.lab = lab_folder.load()
     told = refusals(plan_of(desk))
-    assert [line.split(": ", 1)[1].removeprefix("this run is to be unattended, but a person is ") for line in told] == [
+    assert [
+        line.split(": ", 1)[1].removeprefix("an unattended run cannot wait for a person, but one is ") for line in told
+    ] == [
         "perhaps needed: Look, after a failed sample",
         "needed at 'finish the batch': take the container off the pan",
         "needed at 'a': put xrd_holder 'a' on the pan (and 1 more like it)",

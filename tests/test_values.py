@@ -461,7 +461,7 @@ def test_rounds_and_ways_that_can_be_told_before_the_run_are_told(lab_folder: La
     (said,) = desk.problems(head + "  - {id: a, holders: [xrd_holder], masses: [310 mg]}\n")
     assert "310.0 mg of glass_beads (0.21 cm³) does not fit into 'xrd_holder'" in said
     (said,) = desk.problems(head + "  - {id: a, holders: [xrd_holder]}\n")
-    assert "the lists of 'for_each' are not of one length: there are 1 of 'holder' and 2 of 'mass'" in said
+    assert "the lists of 'for_each' differ in length: there are 1 of 'holder' and 2 of 'mass'" in said
 
 
 def test_lists_of_lists_give_one_to_each_sample(lab_folder: LabFolder) -> None:
@@ -473,7 +473,7 @@ def test_lists_of_lists_give_one_to_each_sample(lab_folder: LabFolder) -> None:
     assert [one.id for one in b.all_containers] == ["b/last", "b/holders/1", "b/holders/2"]
     single = samples.replace("[[1 mg, 2 mg], [5 mg, 6 mg]]", "5 mg").replace("[a, b]", "a")
     (said,) = desk.problems(SOURCES % "5 g" + "workflow: lists\n" + single)
-    assert "'masses': '5 mg' is no list; write [one, another]" in said
+    assert "'masses': '5 mg' is not a list; write [one, another]" in said
 
 
 def test_a_powder_that_only_one_way_doses_is_refused_among_several(lab_folder: LabFolder) -> None:
@@ -486,7 +486,8 @@ def test_a_powder_that_only_one_way_doses_is_refused_among_several(lab_folder: L
     sample += "  - {id: x, first: beads, second: msg, into: alumina_crucible, mass: 1 g, share: 50 %}\n"
     (said,) = desk.problems(SOURCES % "5 g" + sample)
     assert (
-        "which of glass_beads, monosodium_glutamate the sheet has touched after this 'if' is known only when it" in said
+        "which of glass_beads, monosodium_glutamate the sheet has touched after this 'if' is not known before the run"
+        in said
     )
 
 

@@ -62,28 +62,28 @@ tree:
         ("{sequence: []}", "2:18: 'sequence' has an empty list; it takes a list of at least one node ('- …')"),
         ("{fallback: }", "'fallback' has nothing; it takes a list of at least one node"),
         ("{sequence: {a: }}", "2:18: 'sequence' has a mapping (key: value)"),
-        ("{sequence: [park]}", "2:19: 'park' is no node; write 'park:' (with the colon)"),
-        ("{sequence: [{a: , b: }]}", "2:19: a mapping (key: value) stands where a tree's node should be"),
-        ("{sequence: [{a: , b: }]}", "a node is one key; here are 2 keys"),
+        ("{sequence: [park]}", "2:19: 'park' is not a node; write 'park:' (with the colon)"),
+        ("{sequence: [{a: , b: }]}", "2:19: expected a node of the tree, found a mapping (key: value)"),
+        ("{sequence: [{a: , b: }]}", "a node has one key; here are 2 keys"),
         ("{retry: {child: {a: }}}", "2:8: 'retry' needs 'attempts'"),
         ("{retry: {attempts: 3}}", "2:8: 'retry' needs 'child'; one node"),
         ("{retry: {attempts: 3, child: {a: }, codes: [x]}}", "unknown key 'codes'; known: attempts, child, on"),
-        ("{retry: {attempts: 3, on: [], child: {a: }}}", "2:33: an empty list is no failure code"),
-        ("{retry: {attempts: 3, on: [{a: b}], child: {a: }}}", "is no failure code; such as [hand.cone_empty]"),
+        ("{retry: {attempts: 3, on: [], child: {a: }}}", "2:33: an empty list is not a failure code"),
+        ("{retry: {attempts: 3, on: [{a: b}], child: {a: }}}", "is not a failure code; such as [hand.cone_empty]"),
         ("{retry: 3}", "2:15: 'retry' has '3'; it takes the keys attempts, on, child"),
         ("{timeout: {child: {a: }}}", "2:8: 'timeout' needs 'duration'"),
         ("{repeat: {child: {a: }}}", "2:8: 'repeat' needs 'times'"),
         ("{while: {child: {a: }}}", "2:8: 'while' needs 'guards'; a list of conditions"),
         ("{while: {guards: [], child: {a: }}}", "'guards' has an empty list"),
         ("{while: {guards: [{invert: {a: }}], child: {a: }}}", "'invert' cannot be a guard; a guard is a condition"),
-        ("{invert: }", "2:16: nothing stands where a tree's node should be"),
+        ("{invert: }", "2:16: expected a node of the tree, found nothing"),
         ("{optional: {a: , b: }}", "here are 2 keys"),
         ("{a: 5}", "2:11: 'a' has '5'; write its parameters: {name: value, …}"),
         ("{a: [1]}", "2:11: 'a' has a list"),
-        ("{a: {x: $}}", "2:15: '$' cannot be worked out: '$' is not understood in it; write $name, $name.attribute"),
-        ("{a: {x: $b..c}}", "'$b..c' cannot be worked out: '..c' is not understood in it"),
-        ("{a: {as: $b}}", "2:16: 'as': '$b' is no name; a name for the result, without $"),
-        ("{a: {as: [b]}}", "'as': a list is no name"),
+        ("{a: {x: $}}", "2:15: '$' cannot be calculated: '$' cannot be read; write $name, $name.attribute"),
+        ("{a: {x: $b..c}}", "'$b..c' cannot be calculated: '..c' cannot be read"),
+        ("{a: {as: $b}}", "2:16: 'as' must be a name, not '$b'; write a name for the result, without $"),
+        ("{a: {as: [b]}}", "'as' must be a name, not a list"),
     ],
 )
 def test_what_is_no_tree_is_said_in_its_place(tree: str, said: str) -> None:
@@ -94,21 +94,21 @@ def test_what_is_no_tree_is_said_in_its_place(tree: str, said: str) -> None:
 @pytest.mark.parametrize(
     ("head", "said"),
     [
-        ("workflow: other", "1:11: the workflow 'other' stands in w.yaml; call it 'w'"),
+        ("workflow: other", "1:11: the workflow 'other' is in w.yaml; call it 'w'"),
         ("summary: x", "1:1: 'workflow' is missing"),
         ("workflow: w\ninput: {}", "2:1: unknown key 'input'; known: inputs, result, summary, tree, workflow"),
-        ("workflow: w\ninputs: [Mass]", "2:9: 'inputs': a list is no mapping; write {name: Type, …}"),
-        ("workflow: w\ninputs: {m: mass}", "2:13: 'mass' is no type"),
+        ("workflow: w\ninputs: [Mass]", "2:9: 'inputs' must be a mapping, not a list; write {name: Type, …}"),
+        ("workflow: w\ninputs: {m: mass}", "2:13: 'mass' is not a type"),
         ("workflow: w\ninputs: {m: mass}", "did you mean 'Mass'?"),
-        ("workflow: w\ninputs: {m: {default: 2 mg}}", "nothing is no type"),
+        ("workflow: w\ninputs: {m: {default: 2 mg}}", "nothing is not a type"),
         ("workflow: w\ninputs: {m: {type: Mass, defualt: 2 mg}}", "did you mean 'default'?"),
-        ("workflow: w\ninputs: {2m: Mass}", "2:10: '2m' is no name"),
+        ("workflow: w\ninputs: {2m: Mass}", "2:10: '2m' is not a valid name"),
         ("workflow: w\ninputs: {id: Text}", "2:10: 'id' cannot be an input"),
         ("workflow: w\ninputs: {as: Text}", "2:10: 'as' cannot be an input"),
         ("workflow: w\ninputs: {mass: Number}", "2:16: 'mass' must be a Mass, not a Number"),
         ("workflow: w\ninputs: {tolerance: {type: Ratio}}", "'tolerance' must be a Mass, not a Ratio"),
-        ("workflow: w\nresult: dose", "2:9: 'result': 'dose' is no value of this workflow; write $name"),
-        ("workflow: [w]", "1:11: 'workflow': a list is no text"),
+        ("workflow: w\nresult: dose", "2:9: 'result' must be a value of this workflow, not 'dose'; write $name"),
+        ("workflow: [w]", "1:11: 'workflow' must be a text, not a list"),
     ],
 )
 def test_what_is_wrong_with_the_head_is_said_in_its_place(head: str, said: str) -> None:
@@ -120,7 +120,7 @@ def test_a_workflow_without_a_tree_or_of_another_kind_is_refused() -> None:
     assert read("workflow: w\n")[1] == [
         "1:1: 'tree' is missing; a workflow has the keys workflow, summary, inputs, result, tree"
     ]
-    assert "a list stands where a workflow should be" in read("[a]")[1][0]
+    assert "expected a workflow, found a list" in read("[a]")[1][0]
 
 
 def test_all_problems_of_a_file_are_said_at_once() -> None:

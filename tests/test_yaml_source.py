@@ -45,19 +45,19 @@ def test_scalars_stay_text_whatever_they_look_like() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("a:\n\t- b\n", "2:1: is no valid YAML: a tab; YAML is indented with spaces"),
-        ("a: 'x\nb: 1\n", "1:4: is no valid YAML: a quote is not closed"),
-        ("a: {b: 1\nc: 2\n", "2:2: is no valid YAML: a '}' or a ',' is missing"),
-        ("a: b: c", "1:5: is no valid YAML: a ':' too many; look at the indentation, or quote the text"),
-        ("a: 1\nb: x\x07\n", "2:5: is no valid YAML: control characters are not allowed"),
-        ("a: é\x00", "1:5: is no valid YAML: control characters are not allowed"),
-        ("a: 1\na: 2\n", "2:1: the key 'a' stands here a second time"),
+        ("a:\n\t- b\n", "2:1: is not valid YAML: a tab; YAML is indented with spaces"),
+        ("a: 'x\nb: 1\n", "1:4: is not valid YAML: a quote is not closed"),
+        ("a: {b: 1\nc: 2\n", "2:2: is not valid YAML: a '}' or a ',' is missing"),
+        ("a: b: c", "1:5: is not valid YAML: one ':' too many; check the indentation, or quote the text"),
+        ("a: 1\nb: x\x07\n", "2:5: is not valid YAML: control characters are not allowed"),
+        ("a: é\x00", "1:5: is not valid YAML: control characters are not allowed"),
+        ("a: 1\na: 2\n", "2:1: the key 'a' is here a second time"),
         ("a: 1\n---\nb: 2\n", "2:1: a second document begins here; one file holds one document"),
         ("a: *b\n", "1:4: the alias *b has no anchor &b before it"),
-        ("a: &b [*b]\n", "1:8: the alias *b stands inside its own anchor"),
+        ("a: &b [*b]\n", "1:8: the alias *b is inside its own anchor"),
         ("a: !!python/object:os.system x", "is not accepted; write plain values"),
         ("? [a]\n: b\n", "1:3: a key must be one word"),
-        ("# nothing\n", "1:1: is empty; wanted a recipe"),
+        ("# nothing\n", "1:1: is empty; expected a recipe"),
     ],
 )
 def test_what_is_no_plain_yaml_is_said_with_its_place(text: str, said: str) -> None:

@@ -61,7 +61,7 @@ class ArmSpec(Spec):
             given = {"tool_axis", "flange_mm", "relaxed_deg"} & self.model_fields_set
             if given:
                 what = plain_name(min(given))
-                raise ValueError(f"'{what}' is told of another arm than the CRANE-X7: 'kinematics: decomposed'")
+                raise ValueError(f"'{what}' is only for an arm with 'kinematics: decomposed', other than the CRANE-X7")
         elif math.hypot(*self.tool_axis) < 1e-6:
             raise ValueError("'tool_axis' has no direction")
         return self

@@ -39,7 +39,7 @@ def _slots_of(given: object) -> object:
     """A number of slots, or one for each kind of container; ValueError, worded as pydantic's own are, for all else."""
     if isinstance(given, Mapping):
         if not given:
-            raise ValueError("a kind of container, and how many slots are for it")
+            raise ValueError("write a kind of container, and its number of slots")
         return {str(kind): _slot_count(count, f" for '{kind}'") for kind, count in given.items()}
     return _slot_count(given)
 

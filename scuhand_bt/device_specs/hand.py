@@ -60,9 +60,9 @@ class HandOptions(Spec):
         openings = [point.opening_mm for point in self.valve_map]
         counts = [point.count for point in self.valve_map]
         if openings[0] != 0.0 or any(b <= a for a, b in pairwise(openings)):
-            raise ValueError("its 'valve_map' goes from an opening of 0 mm upwards")
+            raise ValueError("its 'valve_map' must begin at an opening of 0 mm, and rise")
         if any((b - a) * (counts[1] - counts[0]) <= 0 for a, b in pairwise(counts)):
-            raise ValueError("the counts of its 'valve_map' all rise or all fall")
+            raise ValueError("the counts of its 'valve_map' must all rise or all fall")
         return self
 
 
@@ -115,7 +115,7 @@ class HandSpec(Spec):
     @model_validator(mode="after")
     def _sheet_makes_the_cone(self) -> Self:
         if self.options.start_diameter_mm >= 2 * self.sheet_radius_mm:
-            raise ValueError(f"this sheet makes cones of less than {2 * self.sheet_radius_mm:g} mm")
+            raise ValueError(f"this sheet only makes cones of less than {2 * self.sheet_radius_mm:g} mm")
         return self
 
     @model_validator(mode="after")

@@ -125,8 +125,8 @@ class _Reader:
     def read(self, root: Node) -> TestFile | None:
         problems = self._problems
         if not isinstance(root, Entries):
-            what = f"{describe(root)} stands where a test should be"
-            problems.add(root.mark, what, "it has the key 'test'", code="wrong-shape")
+            what = f"expected a test, found {describe(root)}"
+            problems.add(root.mark, what, "a test is a mapping with the key 'test'", code="wrong-shape")
             return None
         self._only(root, KEYS)
         workflow, cases = root.get("test"), root.get("cases")
@@ -163,9 +163,7 @@ class _Reader:
             self._check(expect, expect_node)
         seed = node.get("seed")
         if isinstance(seed, Scalar) and not (seed.text or "").isdigit():
-            problems.add(
-                seed.mark, f"'seed': {describe(seed)} is no seed", "a whole number, such as 1", code="bad-value"
-            )
+            problems.add(seed.mark, f"'seed' cannot be {describe(seed)}", "a whole number, such as 1", code="bad-value")
         trace = node.get("trace")
         golden = self._path.with_name(trace.text) if isinstance(trace, Scalar) and trace.text else None
         if len(problems.found) > before or plan is None or expect is None:
@@ -181,7 +179,7 @@ class _Reader:
                 sample.keys.update(given.keys)
                 sample.values.update(given.values)
             elif given is not None:
-                self._problems.add(given.mark, f"'inputs': {describe(given)} is no mapping", code="wrong-shape")
+                self._problems.add(given.mark, f"'inputs' must be a mapping, not {describe(given)}", code="wrong-shape")
         policy = Entries(node.mark, {"otherwise": node.mark}, {"otherwise": Scalar(node.mark, "flag")})
         parts: dict[str, Node] = {
             "workflow": Scalar(root.values["test"].mark, workflow),
@@ -205,7 +203,7 @@ class _Reader:
         if node is None:
             return []
         if not isinstance(node, Items):
-            self._problems.add(node.mark, f"'substitute': {describe(node)} is no list", "- {at: …, fails: …}")
+            self._problems.add(node.mark, f"'substitute' must be a list, not {describe(node)}", "- {at: …, fails: …}")
             return []
         found = [self._substitution(item, workflow) for item in node.items]
         return [one for one in found if one is not None]
@@ -220,7 +218,7 @@ class _Reader:
             mark, known = node.values["fails"].mark, library.failures()
             problems.add(mark, f"unknown failure code '{shorten(rule.fails)}'", unknown=rule.fails, known=known)
         if rule.fails is not None and gives is not None:
-            problems.add(gives.mark, "it either fails or gives a result", "one of 'fails' and 'gives'")
+            problems.add(gives.mark, "it either fails or gives a result", "write one of 'fails' and 'gives'")
         made = Substitution(node.mark, rule.at, rule.call, rule.takes_s, rule.fails, gives is not None)
         leaves = leaves_of(self._lab, workflow)
         at = [leaf for leaf in leaves if made.fits(leaf)]

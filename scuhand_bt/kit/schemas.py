@@ -42,7 +42,7 @@ REFERENCE: Json = {
 EXPRESSION: Json = {
     "type": "string",
     "pattern": r"\$[A-Za-z_]",
-    "description": "$name, $name.attribute, or what is worked out of such: 0.25 * $dose.dispensed",
+    "description": "$name, $name.attribute, or a calculation with them: 0.25 * $dose.dispensed",
 }
 TEXT: Json = {"type": ["string", "number", "boolean"]}
 FLAG: Json = {"enum": [True, False, "yes", "no"]}

@@ -45,8 +45,8 @@ def _wrong(sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:
         lots = {powder.lot for powder in sample.composition.powders}
         for aim in _into(sample):
             if aim.lot is not None and aim.lot not in lots:
-                what = f"'{aim.lot}' comes into the container of sample '{sample.id}', and is not of its composition"
-                yield aim.mass_mark, what, "add it to `from`, or dose it elsewhere"
+                what = f"this doses '{aim.lot}' into the container of sample '{sample.id}', whose composition has none"
+                yield aim.mass_mark, what, "add it to `from`, or dose it into another container"
 
 
 def _into(sample: Sample) -> list[Pour]:
@@ -62,7 +62,7 @@ def _wrong_of(ask: Ask, aims: Sequence[Pour], sample: Sample, library: Library) 
     workflow, of_lot = library.workflows[sample.workflow], f" of {ask.lot}" if ask.lot is not None else ""
     asks = f"sample '{sample.id}' asks for"
     if not aims:
-        what = f"{asks} {ask.mass_mg:g} mg{of_lot}, and '{workflow.name}' doses nothing into its container"
+        what = f"{asks} {ask.mass_mg:g} mg{of_lot}, but '{workflow.name}' doses nothing into its container"
         yield (
             workflow.mark,
             what,
@@ -70,12 +70,12 @@ def _wrong_of(ask: Ask, aims: Sequence[Pour], sample: Sample, library: Library) 
         )
     asked = [aim for aim in aims if aim.mass_mg is None or ask.is_for(aim.mass_mg, aim.lot)]
     for aim in () if asked else aims:
-        what = f"no dose is of the {ask.mass_mg:g} mg{of_lot} that {asks}; this one is of {aim.mass_mg:g} mg"
+        what = f"{asks} {ask.mass_mg:g} mg{of_lot}, but no dose has that mass; this one has {aim.mass_mg:g} mg"
         yield aim.mass_mark, what, "write $mass" if ask.lot is None else "write each of $masses"
     narrow = {aim.place for aim in asked if not _is_wider(aim, ask)}
     for aim in asked:
         if aim.place not in narrow:
-            what = f"the dose is within {aim.tolerance_mg:g} mg, and {asks} {ask.tolerance_mg:g} mg"
+            what = f"{asks} a tolerance of {ask.tolerance_mg:g} mg, but this dose has one of {aim.tolerance_mg:g} mg"
             yield aim.tolerance_mark, what, "write $tolerance" if ask.lot is None else "write each of $tolerances"
 
 
@@ -88,8 +88,8 @@ def _added(sample: Sample) -> Iterator[tuple[Mark, str, str]]:
         for aim in (aim for aim in aims if aim.mass_mg is None and None not in aim.place):
             before = [pour for pour in sample.flow.pours if pour.place == aim.place and pour.mass_mg is not None]
             if any(ask.is_for(pour.mass_mg or 0.0, pour.lot) for pour in before):
-                what = f"sample '{sample.id}' asks for {ask.mass_mg:g} mg of {aim.lot}, and this later dose is of the "
-                what += "same lot, into the same container: the two are one there, of the mass that this one is to be"
+                what = f"sample '{sample.id}' asks for {ask.mass_mg:g} mg of {aim.lot}, but this later dose puts the "
+                what += "same lot into the same container: it only adds what is missing to its own mass"
                 yield aim.mass_mark, what, "take another lot for one of them, or another container"
 
 

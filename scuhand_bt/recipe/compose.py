@@ -79,14 +79,14 @@ def check_by_hand(workflow: Workflow, inputs: Mapping[str, Any], given: Mapping[
     if not (takes_composed(workflow) and isinstance(first, Source) and sources):
         return
     if first.name != sources[0].name:
-        what = f"'{FIRST}' is '{first.name}', and the first of 'sources' is '{sources[0].name}'"
+        what = f"'{FIRST}' is '{first.name}', but 'sources' begins with '{sources[0].name}'"
         problems.add(given[FIRST].mark, what, f"{FIRST}: {sources[0].name}", code="bad-value")
     listed, names = given["sources"], [source.name for source in sources]
     for number, name in enumerate(names):
         if name in names[:number]:
             mark = listed.items[number].mark if isinstance(listed, Items) else listed.mark
-            what = f"'{name}' stands in 'sources' already"
-            problems.add(mark, what, "once, with the mass that is to be there of it in all", code="bad-value")
+            what = f"'{name}' is in 'sources' twice"
+            problems.add(mark, what, "name it once, with its total mass", code="bad-value")
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,8 @@ class Composer:
         if not takes_composed(workflow):
             if own is not None and workflow.is_whole:
                 inputs = ", ".join(f"{name}: {wanted}" for name, wanted in TAKEN.items())
-                what = f"the workflow '{workflow.name}' takes nothing that is composed"
-                remedy = f"one with the inputs {CONTAINER}: Container, {inputs}"
+                what = f"the workflow '{workflow.name}' cannot be used with '{COMPOSE}'"
+                remedy = f"use one with the inputs {CONTAINER}: Container, {inputs}"
                 self.problems.add(entry.keys[COMPOSE], what, remedy, code="not-composing")
             return set(), None
         if own is None and shared is None:
@@ -117,8 +117,10 @@ class Composer:
         has_first = FIRST in workflow.inputs and workflow.inputs[FIRST].type.name == "Source"
         made = {*TAKEN, FIRST} if has_first else set(TAKEN)
         for key in made & entry.keys.keys():
-            what = f"'{key}' is given by '{COMPOSE}'"
-            self.problems.add(entry.keys[key], what, "leave it out, or compose nothing", code="composed-input")
+            what = f"'{key}' is already set by '{COMPOSE}'"
+            self.problems.add(
+                entry.keys[key], what, "leave it out, or write the sample without `compose`", code="composed-input"
+            )
         parts = [self._entries(node) for node in (shared, own) if node is not None]
         whole = [part for part in parts if part is not None]
         if len(whole) < len(parts):
@@ -132,7 +134,7 @@ class Composer:
             return Entries(node.mark, {"product": node.mark}, {"product": node})
         if isinstance(node, Entries):
             return node
-        what = f"'{COMPOSE}': {describe(node)} is no composition"
+        what = f"'{COMPOSE}' must be a composition, not {describe(node)}"
         self.problems.add(node.mark, what, "{product: …, amount: …, tolerance: …, from: […]}", code="wrong-shape")
         return None
 
@@ -158,7 +160,9 @@ class Composer:
         try:
             made = composed(product, text.amount_mg, lots, shares, text.ignore, text.tolerance_ratio)
         except ValueError as error:
-            remedy = "a wider tolerance, or the uncertainty of a better assay (`purity_uncertainty`) at the source"
+            remedy = (
+                "allow a wider tolerance, or give the source the uncertainty of a better assay (`purity_uncertainty`)"
+            )
             self.problems.add(node.values["tolerance"].mark, str(error), remedy, code="uncertain-assay")
             return None
         if not self._is_told(made, node.values["tolerance"].mark):
@@ -175,7 +179,7 @@ class Composer:
         for number in unknown:
             mark = listed.items[number].mark if isinstance(listed, Items) else node.mark
             what = f"there is no element '{shorten(text.ignore[number])}'"
-            self.problems.add(mark, what, "symbols, such as [O, C]", code="bad-formula")
+            self.problems.add(mark, what, "write symbols, such as [O, C]", code="bad-formula")
         return not unknown
 
     def _is_told(self, made: Composition, mark: Mark) -> bool:
@@ -185,9 +189,9 @@ class Composer:
         if narrow.tolerance_mg >= least_mg:
             return True
         needs = f"{format_mass(narrow.target_mg)} of {narrow.formula} within {narrow.tolerance_mg:g} mg"
-        untold = f"which cannot be told with a readability of {self.balance.readability_mg:g} mg"
-        what = f"for {100.0 * made.tolerance:g} % of each element it takes {needs}, {untold}"
-        remedy = f"at least {least_mg:g} mg: a wider tolerance, or a larger amount"
+        untold = f"which is too fine for a readability of {self.balance.readability_mg:g} mg"
+        what = f"a tolerance of {100.0 * made.tolerance:g} % of each element needs {needs}, {untold}"
+        remedy = f"at least {least_mg:g} mg is possible: allow a wider tolerance, or make a larger amount"
         self.problems.add(mark, what, remedy, code="fine-tolerance")
         return False
 
@@ -199,8 +203,8 @@ class Composer:
         with_excess = _EXCESS.fullmatch(text.strip())
         name, excess = (with_excess["name"], self._excess(with_excess["excess"], item)) if with_excess else (text, 0.0)
         if with_excess is None and re.search(r"\bexcess\b", text):
-            what = f"the excess in {describe(item)} is not understood"
-            self.problems.add(item.mark, what, "Li2CO3 (excess 10 %)", code="bad-excess")
+            what = f"the excess in {describe(item)} cannot be read"
+            self.problems.add(item.mark, what, "write it as Li2CO3 (excess 10 %)", code="bad-excess")
             return None
         source = self._source(name.strip(), item.mark)
         if source is None or excess is None:
@@ -212,7 +216,7 @@ class Composer:
             return None
         if source.purity_ratio is None:
             what = f"'purity' of '{source.name}' is missing: a composed sample needs it"
-            self.problems.add(place, what, "as its certificate has it: purity: 99.5 %", code="no-purity")
+            self.problems.add(place, what, "write what its certificate says, such as purity: 99.5 %", code="no-purity")
             return None
         share, uncertainty = assay_of(source, source.purity_ratio)
         return source, Lot(source.sheet_key, parse_formula(powder.formula), share, uncertainty, excess)
@@ -226,7 +230,7 @@ class Composer:
         if LEAST_EXCESS <= excess <= MOST_EXCESS:
             return excess
         allowed = f"{100.0 * LEAST_EXCESS:g} % to {100.0 * MOST_EXCESS:g} %"
-        self.problems.add(item.mark, f"an excess of {100.0 * excess:g} %", allowed, code="bad-excess")
+        self.problems.add(item.mark, f"an excess of {100.0 * excess:g} % is not possible", allowed, code="bad-excess")
         return None
 
     def _source(self, name: str, mark: Mark) -> Source | None:
@@ -238,24 +242,20 @@ class Composer:
             try:
                 formula = parse_formula(name)
             except ValueError as error:
-                what = f"'{shorten(name)}' is neither a source nor a powder of one, and no formula: {error}"
+                what = f"'{shorten(name)}' is not a source, not the powder of a source, and not a formula: {error}"
                 self.problems.add(mark, what, unknown=name, known=self._known(), code="bad-formula")
                 return None
             found = [source for source in self.sources.values() if _is_of(source, formula)]
         if len(found) == 1:
             return found[0]
         if found:
-            what = f"'{name}' is in several sources"
+            what = f"several sources hold '{name}'"
             names = " or ".join(f"'{source.name}'" for source in found)
             self.problems.add(mark, what, f"write which: {names}", code="several-sources")
         elif len(self.sources) == len(self.source_marks):  # else a source that is already reported may be meant
             silent = sorted({one.powder.name for one in self.sources.values() if one.powder.formula is None})
             what = f"no source holds {shorten(name)}"
-            what += (
-                f", as far as is known: {', '.join(silent)} in robot/powders.yaml is without a formula"
-                if silent
-                else ""
-            )
+            what += f", as far as is known: {', '.join(silent)} in robot/powders.yaml has no formula" if silent else ""
             self.problems.add(mark, what, unknown=name, known=self._known(), code="no-source")
         return None
 

@@ -33,8 +33,8 @@ class Demand:
         if self.discarded_mg == 0.0 or self.needed_mg + self.discarded_mg <= mass_mg:
             return ""
         needs = f"its samples need {format_mass(self.needed_mg)} with losses"
-        gone = f"some {self.discarded_mg / 1000:.1f} g are discarded before the last one"
-        return f"{needs}, and as scoops bring more than a dose {gone}: it may run out"
+        gone = f"about {self.discarded_mg / 1000:.1f} g are discarded before the last one"
+        return f"{needs}, and because scoops bring more than a dose, {gone}: it may run out"
 
 
 def demand_of(samples: Sequence[Sample], source: Source, refilled_mg: float | None = None) -> Demand:
@@ -113,13 +113,13 @@ def check_demand(
             problems.add(marks[name], f"{holds}, but {needs}", ", or ".join(ways), code="source-short")
         elif source.refill_mg is None and (doubt := demand.doubt_of(source.amount_mg)):
             what = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}, {doubt}"
-            remedy = "more powder, `leftover: keep` or `return`, or see by `plan` what dry runs discard"
+            remedy = "use more powder, or `leftover: keep` or `return`; `plan` shows by dry runs how much is discarded"
             problems.warn(marks[name], what, remedy, code="source-discarded")
         elif source.refill_mg is None and (lent := lent_mg(samples, source)) > source.amount_mg - demand.needed_mg:
-            what = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}, its samples need "
-            what += f"{format_mass(demand.needed_mg)} with losses, and what is kept in the cone of it may go to others "
-            what += f"of its lot in between, up to {format_mass(lent)}: it may run out"
-            remedy = "more powder, the samples of each source one after the other, or `leftover: return`"
+            what = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name} and its samples need "
+            what += f"{format_mass(demand.needed_mg)} with losses, but what the cone keeps of it may go to samples of "
+            what += f"another source of this lot, up to {format_mass(lent)}: it may run out"
+            remedy = "use more powder, group the samples by source, or write `leftover: return`"
             problems.warn(marks[name], what, remedy, code="source-lent")
 
 

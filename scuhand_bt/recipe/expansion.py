@@ -27,24 +27,27 @@ def expand(
     """
     if not isinstance(node, Entries):
         problems.add(
-            node.mark, f"{describe(node)} is no sample", "- {id: …, container: …, mass: …}", code="wrong-shape"
+            node.mark,
+            f"a sample cannot be {describe(node)}",
+            "write - {id: …, container: …, mass: …}",
+            code="wrong-shape",
         )
         return
     table = node.get("table")
     if table is None:
         yield from _expand_lists(node, problems, list_inputs(node))
     elif not isinstance(table, Scalar) or not table.text:
-        problems.add(table.mark, f"'table': {describe(table)} is no file name", code="wrong-shape")
+        problems.add(table.mark, f"'table' must be a file name, not {describe(table)}", code="wrong-shape")
     elif not _is_within(folder / table.text, folder, lab):
         what = f"'{shorten(table.text, 120)}' is neither in the recipe's folder nor in the lab"
-        problems.add(table.mark, what, "a recipe reads no other file: put the table beside it", code="table-elsewhere")
+        problems.add(table.mark, what, "put the table beside the recipe", code="table-elsewhere")
     else:
         shared = node.without("table")
         rows = read_table(folder / table.text, table.mark, problems)
         if rows and not any("id" in row.keys for row in (shared, *rows)):
-            what = "has no column 'id', and so is no table of samples"
+            what = "has no column 'id', which a table of samples needs"
             meant = next((name for row in rows for name in row.keys if name.lower() == "id"), None)
-            allowed = f"write 'id' for '{meant}'" if meant else "id, container, mass [mg], …"
+            allowed = f"write 'id' for '{meant}'" if meant else "such as id, container, mass [mg], …"
             problems.add(Mark(rows[0].mark.file), what, allowed, code="bad-table")
             return
         for row in rows:
@@ -98,13 +101,13 @@ def _expand_lists(entry: Entries, problems: Problems, list_inputs: Collection[st
         if text is None or not re.fullmatch(r"[1-9][0-9]{0,4}", text) or int(text) > MAX_SAMPLES:
             problems.add(
                 repeat.mark,
-                f"'repeat': {describe(repeat)} is no number of samples",
+                f"'repeat' must be a number of samples, not {describe(repeat)}",
                 f"1 to {MAX_SAMPLES}",
                 code="bad-repeat",
             )
             return
         if lists:
-            problems.add(repeat.mark, "'repeat' and a list stand in one sample", "use one of them", code="bad-repeat")
+            problems.add(repeat.mark, "a sample has both 'repeat' and a list", "use one of them", code="bad-repeat")
             return
         count = int(text)
     elif not lists:

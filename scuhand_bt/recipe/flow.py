@@ -106,7 +106,7 @@ class _Follower:
             after = self.of(node.child, names, reached, at)
             if node.kind == "repeat" and counts.get("times") != 1:
                 for pour in after.surely - reached.surely:
-                    self._warn_of_vain(pour, "from its second round on this dose")
+                    self._warn_of_vain(pour, "from the second round on, this dose")
             return reached | after if node.kind in ("optional", "invert") else after
         if isinstance(node, Choice):
             return self._of_choice(node, names, reached, at)
@@ -157,8 +157,8 @@ class _Follower:
         counts = {key: len(listed) for key, listed in lists.items()}
         if len(set(counts.values())) > 1:
             said = " and ".join(f"{count} of '{key}'" for key, count in counts.items())
-            what = f"the lists of 'for_each' are not of one length: there are {said}"
-            self._problems.add(node.mark, what, "as many values in each", code="uneven-lists")
+            what = f"the lists of 'for_each' differ in length: there are {said}"
+            self._problems.add(node.mark, what, "give each as many values", code="uneven-lists")
         for items in zip(*lists.values(), strict=False):
             within = Scope(dict(zip(lists, items, strict=True)), names.scope)
             reached = self.of(node.child, names.of_round(node, within), reached, at)
@@ -191,8 +191,10 @@ class _Follower:
     def _refuse_unknown_sheet(self, node: Branch | Choice, lots: set[str | None]) -> None:
         if self.is_mixed and len(touched := lots - {""}) > 1:
             which = ", ".join(sorted(lot or "?" for lot in touched))
-            what = f"which of {which} the sheet has touched after this '{node.kind}' is known only when it runs"
-            self._problems.add(node.mark, what, "sources of one powder and lot, or a sequence", code="unknown-sheet")
+            what = f"which of {which} the sheet has touched after this '{node.kind}' is not known before the run"
+            self._problems.add(
+                node.mark, what, "use sources of one powder and lot, or a sequence", code="unknown-sheet"
+            )
 
     def _known(self, arguments: Mapping[str, Argument], names: Names, call: Call | None = None) -> dict[str, Any]:
         """The arguments that are known before the run. Reports those that cannot be evaluated."""
@@ -262,8 +264,8 @@ class _Follower:
         if not self.is_mixed:
             return next(iter(self.sources), None)
         if None not in reached.sources:
-            what = f"which source '{node.name}' is given is known only when it runs: {node.arguments[key]}"
-            remedy = "an input of this workflow can be told before"
+            what = f"which source '{node.name}' gets is not known before the run: {node.arguments[key]}"
+            remedy = "use an input of this workflow"
             self._problems.add(node.argument_marks[key], what, remedy, code="unknown-demand")
         return None
 
@@ -330,8 +332,8 @@ class _Follower:
     def _warn_of_vain(self, pour: Pour, which: str) -> None:
         """Warn of a dose that an earlier dose of its lot into the same container already fulfils."""
         if pour.mass_mg is not None:
-            what = f"{which} gives nothing: so much of its lot is in its container by then, which counts"
-            self._problems.warn(pour.mass_mark, what, "write what is to be there in all", code="lot-twice")
+            what = f"{which} adds nothing: its container already holds that much of the lot, which counts"
+            self._problems.warn(pour.mass_mark, what, "write the total mass", code="lot-twice")
 
     def _note_unfit(self, node: Call | Decorator, name: str, refused: Mapping[str, str], names: Names) -> None:
         """Collect values that would fail where they are used. Literals are left to the check of the workflow."""
@@ -368,10 +370,12 @@ class _Follower:
         cannot know what each must hold.
         """
         if not self.is_mixed:
-            what = "how much is dosed here at most is known only when it runs: room and powder are not checked for it"
+            what = (
+                "how much is dosed here is not known before the run, and has no bound: room and powder are not checked"
+            )
             self._problems.warn(mark, what, "give it a bound: min(…, 100 mg)", code="unbounded-mass")
         elif None not in reached.sources:
-            what = f"how much '{at.name}' takes from one of several sources cannot be told before the run"
+            what = f"how much '{at.name}' takes from one of several sources is not known before the run"
             self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
 
     def _lot(self, source: str | None) -> str | None:
@@ -382,7 +386,7 @@ class _Follower:
         dosed = {pour.source for pour in self.pours}
         for source, at in self._scoops.items():
             if self.is_mixed and source not in dosed:
-                what = f"how much '{at.name}' takes from one of several sources cannot be told before the run"
+                what = f"how much '{at.name}' takes from one of several sources is not known before the run"
                 self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
 
 
@@ -393,4 +397,4 @@ def _target_of(skill: type[Skill[Any]]) -> str | None:
     return TARGET if TARGET in masses else masses[0] if len(masses) == 1 else None
 
 
-TOLD_BEFORE = "dispense a mass that is written, an input of the workflow, or one with a bound: min(…, 100 mg)"
+TOLD_BEFORE = "dispense a written mass, an input of the workflow, or one with a bound: min(…, 100 mg)"

@@ -99,5 +99,5 @@ class Forecaster:
             forecast = skill.forecast(inputs, self._lab.cell)
             return Expected(forecast.duration_s, forecast.person, node.mark, forecast.descent)
         except (Exception, SystemExit) as error:  # a lab's code may raise anything
-            what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
+            what = f"the forecast of '{node.name}' failed: {type(error).__name__}: {error}"
             raise SourceError([Problem(node.mark, shorten(what, 200), "skill-forecast")]) from error

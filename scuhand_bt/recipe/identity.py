@@ -26,7 +26,7 @@ def wrong_id(text: str) -> tuple[str, str] | None:
     if normal != text and _is_id(normal):
         return "can be written in several ways", f"write '{normal}'"
     if not _is_id(text):
-        return "is no id", ALLOWED
+        return "is not a valid id", ALLOWED
     scripts = _scripts(text)
     if not _go_together(scripts):
         return f"mixes {' and '.join(sorted(scripts))} letters", "write it in one script"
@@ -42,7 +42,7 @@ class Ids:
 
     def add(self, text: str, mark: Mark) -> tuple[str, str] | None:
         """Add an id; or why it cannot stand beside an earlier one, and where that is."""
-        looks = {"looks like '{}'": text.translate(_ALIKE), "differs from '{}' by case alone": text.casefold()}
+        looks = {"looks like '{}'": text.translate(_ALIKE), "differs from '{}' only by case": text.casefold()}
         scripts = _scripts(text)
         for how, look in looks.items():
             if (how, look) in self._by_look:
@@ -51,7 +51,7 @@ class Ids:
                 return said, _where(first, mark)
         for script, (other, first) in self._by_script.items():
             if not _go_together({script, *scripts}):
-                return f"'{text}' is in another script than '{other}'", _where(first, mark)
+                return f"'{text}' is written in another script than '{other}'", _where(first, mark)
         self._by_look |= dict.fromkeys(looks.items(), (text, mark))
         for script in scripts:
             self._by_script.setdefault(script, (text, mark))

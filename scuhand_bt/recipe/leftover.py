@@ -32,7 +32,7 @@ def with_leftover(
     if not isinstance(node, Entries):
         known = [*POLICIES, f"{{{TO}: STATION}}"]
         problems.add(
-            node.mark, f"'leftover': {describe(node)} is no policy", unknown=name, known=known, code="unknown-name"
+            node.mark, f"'leftover' cannot be {describe(node)}", unknown=name, known=known, code="unknown-name"
         )
         return dict(sources)
     for key, mark in node.keys.items():
@@ -40,12 +40,12 @@ def with_leftover(
             problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=[TO], code="unknown-key")
     vessel = node.get(TO)
     if vessel is None:
-        problems.add(node.mark, f"'{TO}' is missing", "the station of the vessel", code="missing-key")
+        problems.add(node.mark, f"'{TO}' is missing", "write the vessel's station", code="missing-key")
         return dict(sources)
     vessels = [station.name for station in cell.stations.values() if station.kind == "waste"]
     name = (vessel.text or "") if isinstance(vessel, Scalar) else ""
     if name not in vessels:
-        what = f"unknown vessel {describe(vessel)}: a station of the kind 'waste'"
+        what = f"unknown vessel {describe(vessel)}: it must be a station of the kind 'waste'"
         problems.add(vessel.mark, what, unknown=name, known=vessels, code="unknown-name")
         return dict(sources)
     return _told(sources, {"leftover": "discard", "leftover_to": name})
@@ -55,8 +55,8 @@ def check_unmixed(sources: Iterable[Source], mark: Mark, problems: Problems) -> 
     """Report it if leftovers of several lots would go into one vessel; `mark` is where the recipe names that."""
     lots = {source.sheet_key: source.leftover_to for source in sources if source.leftover_to}
     if len(lots) > 1:
-        what = f"what is left of {' and of '.join(sorted(lots))} would mix in '{next(iter(lots.values()))}'"
-        problems.add(mark, what, "a recipe for each lot, or the policy 'discard'", code="leftover-mixed")
+        what = f"leftovers of {' and of '.join(sorted(lots))} would mix in '{next(iter(lots.values()))}'"
+        problems.add(mark, what, "write a recipe for each lot, or `leftover: discard`", code="leftover-mixed")
 
 
 def _told(sources: Mapping[str, Source], leftover: Mapping[str, str]) -> dict[str, Source]:

@@ -186,7 +186,9 @@ def check_unattended(plan: Plan) -> None:
     problems = Problems()
     for mark, persons in by_mark.items():
         times = f" (and {len(persons) - 1} more like it)" if len(persons) > 1 else ""
-        problems.add(mark, f"this run is to be unattended, but a person is {persons[0]}{times}", code="needs-person")
+        problems.add(
+            mark, f"an unattended run cannot wait for a person, but one is {persons[0]}{times}", code="needs-person"
+        )
     problems.raise_any()
 
 
@@ -317,6 +319,8 @@ def check_service_workflows(recipe: Recipe, lab: Lab, problems: Problems) -> Non
                 code="missing-key",
             )
         elif list(workflow.inputs) != ["source"] or workflow.inputs["source"].type.python is not Source:
-            problems.add(workflow.mark, f"'{name}' must have the one input 'source' (Source)", code="service-workflow")
+            problems.add(
+                workflow.mark, f"'{name}' must have exactly one input, 'source' (Source)", code="service-workflow"
+            )
         else:
             check_workflows(lab.library, [name], problems)

@@ -29,7 +29,7 @@ ACTIONS: Mapping[str, str] = {
     "flag": "keep the dose, mark it, and go on with the next sample",
     "skip_sample": "leave the sample undone and go on with the next one",
     "redo": "do the sample once more in a new container, then flag it",
-    "ask": "ask the operator which of the others it shall be",
+    "ask": "ask the operator to choose one of the others",
     "stop": "stop the batch",
 }
 DEFAULT_ON_FAILURE: Mapping[str, Action] = {
@@ -138,8 +138,8 @@ class _Reader:
         if not isinstance(root, Entries):
             self.problems.add(
                 root.mark,
-                f"{describe(root)} stands where a recipe should be",
-                "it has the key 'recipe'",
+                f"expected a recipe, found {describe(root)}",
+                "a recipe is a mapping with the key 'recipe'",
                 code="wrong-shape",
             )
             return None
@@ -152,7 +152,7 @@ class _Reader:
         order = self._word(root, "order") or ORDERS[0]
         if order not in ORDERS:
             self.problems.add(
-                root.values["order"].mark, f"'{order}' is no order", unknown=order, known=ORDERS, code="unknown-name"
+                root.values["order"].mark, f"unknown order '{order}'", unknown=order, known=ORDERS, code="unknown-name"
             )
         controller = self._word(root, "controller")
         if controller is not None:
@@ -196,7 +196,7 @@ class _Reader:
         if (wrong := wrong_id(name)) is not None:
             mark = root.values["recipe"].mark if "recipe" in root.values else root.mark
             what, allowed = wrong
-            what = "is no name for a recipe" if allowed == ID_ALLOWED else what
+            what = "is not a valid name for a recipe" if allowed == ID_ALLOWED else what
             self.problems.add(mark, f"'{shorten(name)}' {what}", allowed, code="bad-id")
         return name
 
@@ -206,7 +206,7 @@ class _Reader:
             return None
         if isinstance(value, Scalar) and value.text:
             return value.text
-        self.problems.add(value.mark, f"'{key}': {describe(value)} is no text", code="wrong-shape")
+        self.problems.add(value.mark, f"'{key}' must be a text, not {describe(value)}", code="wrong-shape")
         return None
 
     def _check_controller(self, name: str, mark: Mark) -> None:
@@ -222,7 +222,7 @@ class _Reader:
         for name, mark in self.source_marks.items():
             if samples and name not in used:
                 what = f"no sample takes from '{name}'"
-                self.problems.warn(mark, what, "take it away, or name it in a sample", code="unused-source")
+                self.problems.warn(mark, what, "remove it, or name it in a sample", code="unused-source")
 
     # --- the batch as a whole
 
@@ -233,7 +233,7 @@ class _Reader:
         if not isinstance(node, Entries):
             self.problems.add(
                 node.mark,
-                f"'on_failure': {describe(node)} is no mapping",
+                f"'on_failure' must be a mapping, not {describe(node)}",
                 "{code: action, otherwise: …}",
                 code="wrong-shape",
             )
@@ -253,7 +253,7 @@ class _Reader:
             if action not in ACTIONS:
                 self.problems.add(
                     value.mark,
-                    f"{describe(value)} is no action",
+                    f"{describe(value)} is not an action",
                     unknown=action or "",
                     known=ACTIONS,
                     code="bad-action",
@@ -267,7 +267,7 @@ class _Reader:
         if text is None:
             return OVERSHOOT_LIMIT
         if not (text.isascii() and text.isdigit() and len(text) <= 6):
-            what = f"'overshoot_limit': '{shorten(text)}' is no number of samples"
+            what = f"'overshoot_limit' must be a number of samples, not '{shorten(text)}'"
             self.problems.add(
                 root.values["overshoot_limit"].mark, what, "a whole number, or 0 for no limit", code="bad-value"
             )

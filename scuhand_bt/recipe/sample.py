@@ -226,7 +226,7 @@ def check_sample(
 
 
 def _add_too_fine(tolerance_mg: float, mark: Mark, balance: BalanceSpec, problems: Problems) -> None:
-    what = f"the tolerance {tolerance_mg:g} mg cannot be told with a readability of {balance.readability_mg:g} mg"
+    what = f"the tolerance {tolerance_mg:g} mg is too fine for a readability of {balance.readability_mg:g} mg"
     problems.add(mark, what, f"at least {balance.least_tolerance_mg:g} mg", code="fine-tolerance")
 
 
@@ -257,7 +257,7 @@ def _check_room(
         fits = "does not fit" if len(parts) == 1 else "do not fit"
         what = f"{said} ({volume_mm3 / 1000:.2f} cm³) {fits} into '{container.name}'"
         if (beside_mg := sum(pour.beside_mg for pour, _ in parts)) > 0.0:
-            what += f" with the {format_mass(beside_mg)} more that are in tolerance"
+            what += f" with the {format_mass(beside_mg)} more that the tolerance allows"
         holds = f"it holds {container.capacity_mm3 / 1000:.2f} cm³"
         if len(parts) == 1:
             holds = f"{holds}, {format_mass(container.capacity_mm3 * parts[0][1].bulk_density_mg_per_mm3)}"

@@ -27,7 +27,7 @@ from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 
 MISPLACED = {
     **dict.fromkeys(
-        ("recipe", "workflow", "controller", "order", "leftover", "on_failure"), "it stands at the top of the recipe"
+        ("recipe", "workflow", "controller", "order", "leftover", "on_failure"), "write it at the top of the recipe"
     ),
     **dict.fromkeys(("id", "repeat", "table"), "each sample has its own"),
 }
@@ -57,17 +57,21 @@ class SamplesReader:
         """The recipe's samples, with all values that could be read. Mistakes are reported."""
         node = root.get("samples")
         if not isinstance(node, Items) or not node.items:
-            what = "'samples' is missing" if node is None else f"'samples': {describe(node)} names no sample"
+            what = (
+                "'samples' is missing" if node is None else f"'samples' must be a list of samples, not {describe(node)}"
+            )
             self.problems.add(
                 node.mark if node else root.mark,
                 what,
-                "a list: - {id: …, container: …, mass: …}",
+                "write a list: - {id: …, container: …, mass: …}",
                 code="wrong-shape" if node else "missing-key",
             )
             return []
         defaults = root.get("defaults") or Entries(root.mark, {}, {})
         if not isinstance(defaults, Entries):
-            self.problems.add(defaults.mark, f"'defaults': {describe(defaults)} is no mapping", code="wrong-shape")
+            self.problems.add(
+                defaults.mark, f"'defaults' must be a mapping, not {describe(defaults)}", code="wrong-shape"
+            )
             defaults = Entries(root.mark, {}, {})
         default_workflow = root.get("workflow")
         if default_workflow is not None:
@@ -87,8 +91,8 @@ class SamplesReader:
         if len(entries) > MAX_SAMPLES:
             self.problems.add(
                 node.mark,
-                f"these are more than {MAX_SAMPLES} samples",
-                "split them into several recipes",
+                f"the recipe has more than {MAX_SAMPLES} samples",
+                "split it into several recipes",
                 code="too-many-samples",
             )
             return []
@@ -102,7 +106,7 @@ class SamplesReader:
         inputs = {name for workflow in self.workflows.values() for name in workflow.inputs}
         for key, mark in defaults.keys.items():
             if key in MISPLACED and key not in inputs:
-                what = f"'{key}' is no default: {MISPLACED[key]}"
+                what = f"'{key}' cannot be a default: {MISPLACED[key]}"
                 self.problems.add(mark, what, code="misplaced-default")
             elif key == COMPOSE and any(map(takes_composed, self.workflows.values())):
                 continue
@@ -166,7 +170,7 @@ class SamplesReader:
                     code="missing-key",
                 )
         if isinstance(inputs.get("tolerance"), Percent) and "mass" not in workflow.inputs:
-            what = f"a tolerance in % is one of the mass, but the workflow '{workflow.name}' has no input 'mass'"
+            what = f"a tolerance in % needs a mass, but the workflow '{workflow.name}' has no input 'mass'"
             self.problems.add(given["tolerance"].mark, what, code="percent-of-nothing")
         check_by_hand(workflow, inputs, given, self.problems)
         if composed is not None:
@@ -208,7 +212,7 @@ class SamplesReader:
             self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own", code="missing-key")
             return ""
         text = node.text if isinstance(node, Scalar) else None
-        what, allowed = ("is no id", ID_ALLOWED) if text is None else wrong_id(text) or ("", "")
+        what, allowed = ("is not a valid id", ID_ALLOWED) if text is None else wrong_id(text) or ("", "")
         if text is None or what:
             self.problems.add(node.mark, f"{describe(node)} {what}", allowed, code="bad-id")
             return ""

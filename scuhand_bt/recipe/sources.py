@@ -46,7 +46,7 @@ class SourcesReader:
         if node is None:
             return {}  # a recipe that only checks the cell needs none
         if not isinstance(node, Entries) or not node.values:
-            self.problems.add(node.mark, f"'sources': {describe(node)} names no source", code="wrong-shape")
+            self.problems.add(node.mark, f"'sources' must name sources, not be {describe(node)}", code="wrong-shape")
             return {}
         sources: dict[str, Source] = {}
         for name, value in node.values.items():
@@ -73,7 +73,7 @@ class SourcesReader:
             places_mm = [self.lab.cell.stations[source.station].position_mm[:2] for source in (one, other)]
             room_mm = (one.mortar.outer_diameter_mm + other.mortar.outer_diameter_mm) / 2
             if (apart_mm := math.dist(*places_mm)) < room_mm:
-                what = f"the mortars of '{one.name}' and '{other.name}' stand {apart_mm:.0f} mm apart"
+                what = f"the mortars of '{one.name}' and '{other.name}' are only {apart_mm:.0f} mm apart"
                 allowed = f"they need {room_mm:.0f} mm; move a station in robot/cell.yaml"
                 self.problems.add(self.source_marks[other.name], what, allowed, code="mortars-overlap")
 
@@ -85,8 +85,10 @@ class SourcesReader:
                 continue
             other = assayed.setdefault(source.sheet_key, source)
             if any(getattr(source, name) != getattr(other, name) for name in Assay.model_fields):
-                what = f"'{other.name}' and '{source.name}' are one lot, {source.sheet_key}, and their assays differ"
-                remedy = "the same `purity` and `water`, or a `lot` of its own for each"
+                what = (
+                    f"'{other.name}' and '{source.name}' are the same lot, {source.sheet_key}, but their assays differ"
+                )
+                remedy = "write the same `purity` and `water`, or a `lot` of its own for each"
                 self.problems.add(self.source_marks[source.name], what, remedy, code="lot-assays")
 
     def _read_source(self, name: str, node: Node) -> Source | None:
@@ -147,15 +149,17 @@ def _check_source(source: Source, cell: CellSpec, marks: Mapping[str, Node], pro
     if powder.belief.least_mm >= widest_mm:
         least = f"of {powder.name} {powder.belief.little_comes}"
         if powder.belief.threshold_mm >= widest_mm:
-            least = f"nothing of {powder.name} comes up to its belief's 'threshold', {powder.belief.threshold_mm:g} mm"
+            least = f"no {powder.name} flows up to its belief's 'threshold', {powder.belief.threshold_mm:g} mm"
         remedy = "correct it in robot/powders.yaml, or the hand's 'max_opening' in robot/cell.yaml"
         problems.add(
-            marks["powder"].mark, f"the hand opens to {widest_mm:g} mm, and {least}", remedy, code="never-opened"
+            marks["powder"].mark, f"the hand opens only to {widest_mm:g} mm, and {least}", remedy, code="never-opened"
         )
     if powder.load_limit_mg < LEAST_LIMIT_MG:
         limit, least = format_mass(powder.load_limit_mg), format_mass(LEAST_LIMIT_MG)
-        what = f"the 'load_limit' of {powder.name}, {limit}, is not kept: a scoop may bring several times as much"
-        remedy = f"{least} or more in robot/powders.yaml, if the cone may hold that"
+        what = (
+            f"the 'load_limit' of {powder.name}, {limit}, is too small for scoops: one may bring several times as much"
+        )
+        remedy = f"write {least} or more in robot/powders.yaml, if the cone may hold that"
         problems.warn(marks["powder"].mark, what, remedy, code="small-load")
     holds_mg = source.capacity_mg
     if source.amount_mg > holds_mg:

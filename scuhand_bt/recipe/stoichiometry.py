@@ -52,12 +52,12 @@ def balanced(product: Formula, formulas: Sequence[Formula], ignored: Sequence[st
     rows = [[one.counts.get(e, Fraction(0)) for one in formulas] + [product.counts[e]] for e in elements]
     pivots = _reduce(rows)
     if len(formulas) in pivots:  # a row reads 0 = 1
-        what = f"no amounts of {_listed(formulas)} come to {product.text}"
-        return [Imbalance("unbalanced", what, "add what brings the rest, or correct a count")]
+        what = f"no amounts of {_listed(formulas)} make {product.text}"
+        return [Imbalance("unbalanced", what, "add a powder that brings the rest, or correct a count")]
     if free := [j for j in range(len(formulas)) if j not in pivots]:
         also = [formulas[pivots[i]] for i in range(len(pivots)) if rows[i][free[0]] != 0]
         one = formulas[free[0]]
-        why = f"{one.text} stands there twice" if one in also else f"{one.text} brings no more than {_listed(also)}"
+        why = f"{one.text} is named twice" if one in also else f"{_listed(also)} can replace {one.text}"
         what = f"there are several ways to make {product.text}: {why}"
         return [Imbalance("ambiguous-precursors", what, "leave one of them out", free[0])]
     found = [row[-1] for row in rows[: len(formulas)]]
@@ -72,11 +72,11 @@ def _foreign(
         others = [element for element in one.counts if element not in product.counts and element not in ignored]
         if others:
             what = f"{one.text} brings {', '.join(others)}, which {product.text} does not have"
-            remedy = f"another powder; if it leaves, ignore {', '.join(others)}"
+            remedy = f"use another powder; if it leaves, ignore {', '.join(others)}"
             found.append(Imbalance("foreign-element", what, remedy, number))
         elif not any(element in one.counts for element in elements):
-            what = f"{one.text} brings nothing that is balanced"
-            found.append(Imbalance("foreign-element", what, "leave it out, or ignore less", number))
+            what = f"{one.text} brings no element that is balanced"
+            found.append(Imbalance("foreign-element", what, "leave it out, or ignore fewer elements", number))
     return found
 
 

@@ -59,7 +59,7 @@ def read_table(path: Path, asked_at: Mark, problems: Problems) -> list[Entries]:
             else:
                 read.append((cells, marks))
     except csv.Error as error:
-        problems.add(Mark(file, line_number), f"is no valid CSV: {error}", code="bad-table")
+        problems.add(Mark(file, line_number), f"is not valid CSV: {error}", code="bad-table")
     else:
         if not read:
             problems.add(Mark(file), "has no rows below its header", code="bad-table")
@@ -89,11 +89,11 @@ def _read_header(cells: list[str], marks: list[Mark], problems: Problems) -> lis
         match = _HEADER.fullmatch(cell.strip())
         if match is None:
             if cell.strip():
-                what = f"'{shorten(cell)}' is no column name"
-                problems.add(mark, what, "a name such as id, container, mass or mass [mg]", code="bad-table")
+                what = f"'{shorten(cell)}' is not a column name"
+                problems.add(mark, what, "write a name such as id, container, mass or mass [mg]", code="bad-table")
             columns.append(None)
         elif match[1] in [column.name for column in columns if column]:
-            problems.add(mark, f"the column '{match[1]}' stands here a second time", code="bad-table")
+            problems.add(mark, f"the column '{match[1]}' is here a second time", code="bad-table")
             columns.append(None)
         else:
             columns.append(Column(mark, match[1], (match[2] or "").strip()))
@@ -115,7 +115,7 @@ def _read_row(
         if i >= len(header):
             problems.add(
                 mark,
-                f"'{shorten(text)}' stands beyond the last column",
+                f"'{shorten(text)}' is beyond the last column",
                 f"the header has {len(header)}",
                 code="bad-table",
             )
@@ -126,8 +126,10 @@ def _read_row(
         row.keys[column.name] = column.mark
         grouped = _PERHAPS_THOUSANDS.fullmatch(text)
         if decimal and grouped and grouped[1] != decimal and column.name != "id":
-            what = f"'{shorten(text)}' could be thousands: this table's other numbers have '{decimal}' for decimals"
-            problems.add(mark, what, "write it without a sign for thousands", code="bad-table")
+            what = (
+                f"'{shorten(text)}' could mean thousands: this table's other numbers have '{decimal}' before decimals"
+            )
+            problems.add(mark, what, "write it without a thousands separator", code="bad-table")
             continue
         if decimal is not None and column.name != "id" and (match := _DECIMAL_COMMA.fullmatch(text)):
             text = f"{match[1]}.{match[2]}{match[3]}"

@@ -201,7 +201,7 @@ def faults_of(root: Node, text: str, problems: Problems) -> FaultFile:
 
 def _items(root: Node, problems: Problems) -> Sequence[Node]:
     if not isinstance(root, Entries):
-        problems.add(root.mark, f"{describe(root)} stands where a fault file should be", "it has the key 'faults'")
+        problems.add(root.mark, f"expected a fault file, found {describe(root)}", "it has the key 'faults'")
         return []
     for key, mark in root.keys.items():
         if key != "faults":
@@ -215,7 +215,7 @@ def _items(root: Node, problems: Problems) -> Sequence[Node]:
 
 
 def _read_rule(node: Node, problems: Problems) -> Rule | None:
-    rule = validate(Rule, node, problems, "a rule, such as {fault: balance.silent, at: 2 min},")
+    rule = validate(Rule, node, problems, "a rule, such as {fault: balance.silent, at: 2 min}")
     if not isinstance(node, Entries):
         return None
     fault = node.get("fault")

@@ -178,7 +178,11 @@ def _load(path: Path, problems: Problems) -> type[Skill[Any]] | None:
     ]
     if len(found) != 1:
         names = ", ".join(cls.__name__ for cls in found) or "none"
-        problems.add(Mark(str(path)), f"a skill's file holds one Skill class; here: {names}", code="skill-class")
+        problems.add(
+            Mark(str(path)),
+            f"a skill's file must have exactly one Skill class; this one has: {names}",
+            code="skill-class",
+        )
         return None
     return found[0]
 
@@ -187,7 +191,9 @@ def _check_class(skill: type[Skill[Any]], mark: Mark, known: Collection[str], pr
     """What Python does not check of a skill's class, and would otherwise come up in the middle of a run."""
     name = skill.__name__
     if not skill.__doc__:
-        problems.add(mark, f"{name} has no docstring", "one line that says what it is for", code="skill-docstring")
+        problems.add(
+            mark, f"{name} has no docstring", "write one line that says what it is for", code="skill-docstring"
+        )
     if inspect.isabstract(skill):
         missing = ", ".join(sorted(skill.__abstractmethods__))
         problems.add(mark, f"{name} has no '{missing}'", f"def {missing}(self, cell: Cell)", code="skill-class")
@@ -196,15 +202,15 @@ def _check_class(skill: type[Skill[Any]], mark: Mark, known: Collection[str], pr
             what, fix = f"'failures' of {name} is wrong", 'failures = {"device.what": Failure(meaning, remedy)}'
             problems.add(mark, what, fix, code="skill-failures")
         elif code in CATALOGUE:
-            what = f"'failures' of {name} has '{code}', which the catalogue has already"
+            what = f"'failures' of {name} has '{code}', which is already in the catalogue"
             problems.add(mark, what, "name another", code="skill-failures")
     if not isinstance(skill.typical_s, int | float):
-        what = f"'typical_s' of {name} is {skill.typical_s!r}, and no number of seconds"
+        what = f"'typical_s' of {name} is {skill.typical_s!r}, not a number of seconds"
         problems.add(mark, what, "typical_s = 4.0", code="skill-forecast")
     own = skill.failures if isinstance(skill.failures, Mapping) else {}
     for code in skill.raises if isinstance(skill.raises, tuple) else (None,):
         if code not in CATALOGUE and code not in own:
-            what = f"'raises' of {name} is wrong: {shorten(str(code))} is no code of the catalogue or of 'failures'"
+            what = f"'raises' of {name} is wrong: {shorten(str(code))} is neither in the catalogue nor in 'failures'"
             problems.add(mark, what, "raises = (Code.HAND_CONE_EMPTY,), with the comma", code="skill-failures")
     listed = {"devices": skill.devices}
     if issubclass(skill, Condition):
@@ -214,7 +220,7 @@ def _check_class(skill: type[Skill[Any]], mark: Mark, known: Collection[str], pr
             problems.add(mark, what, "use 'watches'", code="skill-devices")
     for key, devices in listed.items():
         if not isinstance(devices, tuple):
-            what = f"'{key}' of {name} is no tuple"
+            what = f"'{key}' of {name} is not a tuple"
             problems.add(mark, what, f'{key} = ("hand",), with the comma', code="skill-devices")
             continue
         for device in devices:
@@ -227,13 +233,15 @@ def _check_codes(skill: type[Skill[Any]], codes: Mapping[str, Mark], problems: P
     """A skill may fail with what the catalogue or its own `failures` has, and with nothing else."""
     for code, mark in codes.items():
         if code not in CATALOGUE and code not in skill.failures:
-            what = f"'{shorten(code)}' is no failure code of the catalogue, nor of this skill's own 'failures'"
-            hint = "`scuhand-bt explain` lists the catalogue; a code of its own stands in the skill's 'failures'"
+            what = (
+                f"unknown failure code '{shorten(code)}': it is neither in the catalogue nor in this skill's 'failures'"
+            )
+            hint = "`scuhand-bt explain` lists the catalogue; add a code of your own to the skill's 'failures'"
             known = [*CATALOGUE, *skill.failures]
             problems.add(mark, what, hint, unknown=code, known=known, code="skill-failures")
         elif code not in skill.raises:
             what = f"it fails with {code}, which 'raises' does not name"
-            problems.warn(mark, what, "`explain` and the checks go by 'raises'", code="skill-raises")
+            problems.warn(mark, what, "add it to 'raises', which `explain` and the checks use", code="skill-raises")
 
 
 def _files_read(folder: Path) -> dict[Path, bytes]:

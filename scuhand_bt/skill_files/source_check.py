@@ -97,31 +97,33 @@ def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems,
             problems.add(_mark(file, method), what, f"def {name}({', '.join(parameters)})", code="skill-signature")
     if "forecast" in methods and not isinstance(inspect.getattr_static(skill, "forecast"), classmethod):
         problems.add(
-            _mark(file, methods["forecast"]), "'forecast' is no class method", "@classmethod", code="skill-signature"
+            _mark(file, methods["forecast"]), "'forecast' is not a class method", "@classmethod", code="skill-signature"
         )
     for node in within(methods["check"]) if issubclass(skill, Condition) and "check" in methods else ():
         if isinstance(node, ast.Yield | ast.YieldFrom) or (isinstance(node, ast.Return) and _gives_a_value(node)):
-            what = "a condition holds wherever its `check` returns: what it gives is not looked at, nor what it yields"
-            remedy = "`raise SkillFailed(code, why)` where it does not hold"
+            what = "a condition holds whenever its `check` returns: any value that it returns or yields is ignored"
+            remedy = "write `raise SkillFailed(code, why)` where it does not hold"
             problems.add(_mark(file, node), what, remedy, code="skill-condition")
     run = methods.get("run")
     if run is not None and not yields(run) and not _returns_a_call(run):
-        what = "'run' is no generator: it has no `yield`, and so cannot be waited for or halted"
-        problems.add(_mark(file, run), what, "`yield from pause(cell, …)`, or `yield from ()`", code="skill-generator")
+        what = "'run' is not a generator: without a `yield` it cannot be waited for or halted"
+        problems.add(
+            _mark(file, run), what, "write `yield from pause(cell, …)`, or `yield from ()`", code="skill-generator"
+        )
     interrupted = typing.get_args(typing.get_args(Skill.__annotations__["interrupted"])[0])
     for node in body.body:
         target = _target(node)
         if target == "interrupted" and skill.interrupted not in interrupted:
-            what = f"'interrupted' is {skill.interrupted!r}, which is no way to take up an action"
+            what = f"'interrupted' cannot be {skill.interrupted!r}"
             problems.add(_mark(file, node), what, " or ".join(map(repr, interrupted)), code="skill-interrupted")
         info = skill.model_fields.get(target) if target is not None else None
         if info is not None and (why := _why_no_default(info)) is not None:
             what = f"the default of '{target}', {info.default!r}, is not of its type: {why}"
-            problems.add(_mark(file, node), what, "a value as the type has it", code="skill-default")
+            problems.add(_mark(file, node), what, "write a value of that type", code="skill-default")
         is_float = info is not None and float in (info.annotation, *typing.get_args(info.annotation))
         if info is not None and is_float and not any(hasattr(m, "dimension") for m in info.metadata):
-            what = f"'{target}' is a bare float: in a workflow nobody sees its unit, and none is checked"
-            remedy = "Milligrams, Seconds, Millimetres, …, or Ratio for a share"
+            what = f"'{target}' is a bare float: a workflow can neither show nor check its unit"
+            remedy = "use Milligrams, Seconds, Millimetres, …, or Ratio for a share"
             problems.warn(_mark(file, node), what, remedy, code="skill-unit")
 
 
@@ -158,7 +160,7 @@ class _FunctionCheck:
             elif isinstance(node, ast.Yield):
                 self._check_yield(node, nodes)
             elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and self._names.is_steps(node.value):
-                what = f"`{ast.unparse(node.value.func)}(…)` does nothing by itself: it is waited for"
+                what = f"`{ast.unparse(node.value.func)}(…)` does nothing unless it is waited for"
                 self._add(node, what, f"`yield from {ast.unparse(node.value.func)}(…)`", "skill-not-waited")
             elif isinstance(node, ast.Try):
                 self._check_finally(node)
@@ -189,12 +191,12 @@ class _FunctionCheck:
             what = f"a {owner.__name__} has no '{node.attr}'"
             self._add(node, what, "", "skill-unknown-member", unknown=node.attr, known=known)
         elif owner is self._skill and isinstance(node.ctx, ast.Store) and node.attr in self._skill.model_fields:
-            what = f"`{ast.unparse(node)}` is set, and a skill's parameters stay as they were given"
-            self._add(node, what, "a name of its own, without `self.`", "skill-set")
+            what = f"`{ast.unparse(node)}` is set, but a skill's parameters cannot change"
+            self._add(node, what, "use a name of its own, without `self.`", "skill-set")
         elif owner is Cell:
             device = node.attr if node.attr in DEVICES else "arm" if of_arm(node.attr) else None
             if device is not None and self._leased is not None and device not in self._leased:
-                what = f"the {device} is used here, and 'devices' does not lease it"
+                what = f"the {device} is used here, but 'devices' does not lease it"
                 self._add(node, what, f'devices = (…, "{device}")', "skill-lease")
 
     def _check_device(self, node: ast.Call) -> None:
@@ -206,14 +208,14 @@ class _FunctionCheck:
             return
         name = named.value if isinstance(named, ast.Constant) and isinstance(named.value, str) else None
         if name is not None and self._leased is not None and name not in self._leased:
-            what = f"the {name} is used here, and 'devices' does not lease it"
+            what = f"the {name} is used here, but 'devices' does not lease it"
             self._add(node, what, f'devices = (…, "{name}")', "skill-lease")
 
     def _check_yield(self, node: ast.Yield, nodes: list[ast.AST]) -> None:
         value = node.value
         if value is None:
             if not _is_never_reached(node, self._function):
-                what = "this yields nothing, and a skill yields `Wake`s: when it wants to go on"
+                what = "this yields nothing, but a skill must yield a `Wake`, which says when it goes on"
                 self._add(
                     node, what, "`yield from pause(cell, 1.0)`, `yield Wake(cell.clock.now_s + 1.0)`", "skill-yield"
                 )
@@ -221,19 +223,19 @@ class _FunctionCheck:
             call = ast.unparse(value.func)
             self._add(
                 node,
-                f"this yields the steps of `{call}(…)`, not each of them",
+                f"this yields `{call}(…)` as a whole, not each of its steps",
                 f"`yield from {call}(…)`",
                 "skill-yield",
             )
         elif not isinstance(value, ast.Call | ast.Name | ast.Attribute | ast.Subscript | ast.IfExp | ast.Await):
-            what = f"this yields `{ast.unparse(value)}`, and a skill yields `Wake`s: when it wants to go on"
+            what = f"this yields `{ast.unparse(value)}`, but a skill must yield a `Wake`, which says when it goes on"
             self._add(node, what, f"`yield from pause(cell, {ast.unparse(value)})`", "skill-yield")
 
     def _check_finally(self, node: ast.Try) -> None:
         for statement in node.finalbody:
             for inner in (statement, *within(statement)):
                 if isinstance(inner, ast.Yield | ast.YieldFrom):
-                    what = "this waits in `finally`, where a skill that is halted only sends safe commands"
+                    what = "this waits in `finally`, where a halted skill may only send safe commands"
                     self._add(inner, what, "send what makes it safe; the engine waits until it is", "skill-finally")
 
     def _check_halt(self, node: ast.Try) -> None:
@@ -244,9 +246,9 @@ class _FunctionCheck:
             caught = handler.type.elts if isinstance(handler.type, ast.Tuple) else [handler.type]
             is_any = any(one is None or self._names.object_of(one) in (BaseException, GeneratorExit) for one in caught)
             if is_any and not any(isinstance(inner, ast.Raise) for part in handler.body for inner in all_of(part)):
-                what = "this catches what halts the skill, too"
+                what = "this also catches what halts the skill"
                 self._add(
-                    handler, what, "`finally:` for what is to be done anyway, or `except SkillFailed:`", "skill-halt"
+                    handler, what, "use `finally:` for what must be done anyway, or `except SkillFailed:`", "skill-halt"
                 )
 
     def _check_end(self, node: ast.While) -> None:
@@ -254,8 +256,8 @@ class _FunctionCheck:
         is_endless = isinstance(node.test, ast.Constant) and bool(node.test.value)
         goes_on = (ast.Yield, ast.YieldFrom, ast.Await, ast.Break, ast.Return, ast.Raise)
         if is_endless and not any(isinstance(inner, goes_on) for part in node.body for inner in all_of(part)):
-            what = "this loop never ends and never waits: nothing else would go on"
-            self._add(node, what, "`yield from pause(cell, …)` in it, or `break`", "skill-endless")
+            what = "this loop never ends and never waits: everything else would stand still"
+            self._add(node, what, "write `yield from pause(cell, …)` in it, or `break`", "skill-endless")
 
     def _check_raised(self, node: ast.Raise, raised: ast.expr) -> None:
         """What the engine calls may fail by SkillFailed alone; what is caught in it is its own business."""
@@ -266,7 +268,7 @@ class _FunctionCheck:
             self._warn_of_fault(node, f"`{kind.__name__}` is raised here{uncaught}")
 
     def _warn_of_fault(self, node: ast.AST, what: str) -> None:
-        what += ": a fault of the skill, at which the whole run ends"
+        what += ": that is a fault of the skill, and the whole run ends"
         self._problems.warn(_mark(self._file, node), what, "`raise SkillFailed(code, why)`", code="skill-fault")
 
     def _check_arguments(self, node: ast.Call) -> None:
@@ -288,10 +290,10 @@ class _FunctionCheck:
         for module, functions in CLOCKS.items():
             if home == module and called.__name__ in functions:
                 what = (
-                    f"`{ast.unparse(node.func)}` is the computer's time, not the run's: nothing else goes on meanwhile"
+                    f"`{ast.unparse(node.func)}` uses the computer's time, not the run's: everything else stands still"
                 )
                 if called.__name__ != "sleep":
-                    what = f"`{ast.unparse(node.func)}` is the computer's time, not the run's"
+                    what = f"`{ast.unparse(node.func)}` uses the computer's time, not the run's"
                 remedy = "`yield from pause(cell, …)`" if called.__name__ == "sleep" else "`cell.clock.now_s`"
                 self._add(node, what, remedy, "skill-clock")
 

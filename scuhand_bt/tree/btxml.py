@@ -135,8 +135,8 @@ def _choice(parent: Element, node: Choice, library: Library) -> None:
         values = {f"case_{number}": case.label for number, case in enumerate(cases, 1)}
         made = SubElement(parent, f"Switch{len(cases)}", {**variable, **values})
     else:
-        what = f"a 'switch' of {len(cases)} cases cannot stand in a file of BehaviorTree.CPP"
-        raise SourceError([Problem(node.mark, f"{what}; it has 2 to {MOST_CASES}")])
+        what = f"a 'switch' of {len(cases)} cases cannot be written for BehaviorTree.CPP"
+        raise SourceError([Problem(node.mark, f"{what}; it can have 2 to {MOST_CASES}")])
     for case in node.cases:
         _node(made, case.child, library)
     if not node.is_exhaustive:
@@ -176,7 +176,7 @@ def _text(argument: Argument, wire: WireType | None = None) -> str:
         return ";".join(_text(item, wire.item if wire is not None else None) for item in argument.items)
     text = argument.text if isinstance(argument, Scalar) else None
     if text is None:
-        what = f"{describe(argument)} cannot stand in a file of BehaviorTree.CPP, which knows only texts"
+        what = f"{describe(argument)} cannot be written for BehaviorTree.CPP, which has only texts"
         raise SourceError([Problem(argument.mark, what)])
     if wire is not None and wire.name == "Flag":
         return "true" if text in ("yes", "true", "on") else "false"
@@ -231,7 +231,7 @@ def from_xml(text: str, file: str) -> dict[str, str]:
         root = ElementTree.fromstring(text.encode())
     except ElementTree.ParseError as error:
         line, column = error.position
-        raise SourceError([Problem(Mark(file, line, column + 1), f"is no XML: {error}")]) from None
+        raise SourceError([Problem(Mark(file, line, column + 1), f"is not XML: {error}")]) from None
     models = {one.get("ID", ""): one for one in root.iterfind("TreeNodesModel/SubTree")}
     found = {}
     for tree in root.iterfind("BehaviorTree"):

@@ -47,7 +47,7 @@ class Scope:
             try:
                 return value.value(self.read)
             except ValueError as error:
-                raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"'{value}' cannot be worked out: {error}") from None
+                raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"'{value}' cannot be calculated: {error}") from None
         found = self._named(value.name)
         for attribute in value.attributes:
             found = read_attribute(found, attribute)

@@ -67,7 +67,7 @@ class _Checker:
             if declared.default is not None:
                 value = self._check_literal(declared.name, declared.type, declared.default)
                 if isinstance(value, Percent) and "mass" not in workflow.inputs:
-                    what = "a tolerance in % is one of the mass, but this workflow has no input 'mass'"
+                    what = "a tolerance in % needs a mass, but this workflow has no input 'mass'"
                     self._problems.add(declared.default.mark, what, code="percent-of-nothing")
         defined = self._check(workflow.tree, frozenset(workflow.inputs))
         result = self._type_of_value(workflow.result, defined) if workflow.result is not None else NOTHING
@@ -82,9 +82,9 @@ class _Checker:
         calls = (part.name if isinstance(part, Call) else "" for part in walk(workflow.tree))
         size = sum(1 + self._sizes.get(name, 0) for name in calls)
         if size > MAX_TREE_NODES:
-            what = f"'{workflow.name}' is a tree of more than {MAX_TREE_NODES} nodes"
+            what = f"the tree of '{workflow.name}' has more than {MAX_TREE_NODES} nodes"
             self._problems.add(
-                workflow.mark, what, "the workflows it calls are counted each time; use 'repeat'", code="too-large"
+                workflow.mark, what, "each call counts all nodes of the called workflow; use 'repeat'", code="too-large"
             )
             size = 0  # so that callers are not reported too
         self._sizes[workflow.name] = size
@@ -123,7 +123,7 @@ class _Checker:
                 conditions = [name for name, cls in self._library.skills.items() if issubclass(cls, Condition)]
                 self._problems.add(
                     guard.mark,
-                    f"'{guard.name}' is no condition and cannot be a guard",
+                    f"'{guard.name}' is not a condition, and cannot be a guard",
                     known=conditions,
                     code="no-condition",
                 )
@@ -142,16 +142,18 @@ class _Checker:
         for name, argument in node.arguments.items():
             given = None
             if isinstance(argument, Node):
-                what = f"'{name}' takes the items of a list that the workflow is given, not {describe(argument)}"
+                what = (
+                    f"'{name}' takes the items of a list that is an input of the workflow, not of {describe(argument)}"
+                )
                 self._problems.add(
-                    argument.mark, what, "an input of a type such as [Mass], as $name", code="wrong-type"
+                    argument.mark, what, "write $name of an input of a type such as [Mass]", code="wrong-type"
                 )
             elif (given := self._type_of_value(argument, defined)) is not None and given.item is None:
                 what = f"'{name}' takes the items of a list, but {argument} is a {given.name}"
                 self._problems.add(argument.mark, what, code="wrong-type")
             if name in self._types:
-                what = f"'{name}' is a value of this workflow already"
-                self._problems.add(argument.mark, what, "a name of its own for the item", code="name-taken")
+                what = f"'{name}' is already a value of this workflow"
+                self._problems.add(argument.mark, what, "give the item another name", code="name-taken")
                 continue
             own.add(name)
             self._types[name] = given.item if given is not None else None
@@ -199,7 +201,9 @@ class _Checker:
                 continue
             wire = self._type_of_value(argument, defined)
             if wire is not None and (wire.name not in RECORDED or wire.optional):
-                what = f"{argument} {'may be nothing' if wire.optional else f'is a {wire.name}'}: no cell of a row"
+                what = (
+                    f"{argument} {'may be nothing' if wire.optional else f'is a {wire.name}'}, which cannot be recorded"
+                )
                 remedy = "record one of its values: " + ", ".join(
                     f"{argument}.{key}" for key in [*wire.attributes()][:3]
                 )
@@ -207,7 +211,7 @@ class _Checker:
             elif wire is not None:
                 wires[name] = wire
         if not node.arguments:
-            self._problems.add(node.mark, f"'{RECORD}' is given nothing", "{name: $value}", code="missing-parameter")
+            self._problems.add(node.mark, f"'{RECORD}' has no values", "{name: $value}", code="missing-parameter")
         self._library.recorded[node.mark] = wires
         return self._keep(node, NOTHING, defined)
 
@@ -238,7 +242,7 @@ class _Checker:
             if name in parameters:
                 value = self._check_argument(name, parameters[name].wire, argument, defined)
                 if isinstance(value, Percent) and "mass" not in node.arguments:
-                    what = f"a tolerance in % is one of the mass, but '{node.name}' is given no 'mass' here"
+                    what = f"a tolerance in % needs a mass, but '{node.name}' is given no 'mass' here"
                     self._problems.add(argument.mark, what, code="percent-of-nothing")
             else:
                 what = f"'{node.name}' has no parameter '{shorten(name)}'"
@@ -267,8 +271,8 @@ class _Checker:
         before = self._types.get(node.result)
         if node.result in self._inputs or node.result in self._items:
             which = "an input of this workflow" if node.result in self._inputs else "an item of a list"
-            what = f"'{node.result}' is {which}, and stays what the workflow was given"
-            self._problems.add(node.result_mark, what, "a name of its own for the result", code="name-taken")
+            what = f"'{node.result}' is {which}, which cannot be set again"
+            self._problems.add(node.result_mark, what, "give the result another name", code="name-taken")
             return defined
         if result == NOTHING:
             self._problems.add(
@@ -277,7 +281,9 @@ class _Checker:
             result = None
         elif before is not None and result is not None and not before.accepts(result):
             self._problems.add(
-                node.result_mark, f"'{node.result}' is a {before.name} already, not a {result.name}", code="wrong-type"
+                node.result_mark,
+                f"'{node.result}' is already a {before.name}, and cannot become a {result.name}",
+                code="wrong-type",
             )
         self._types[node.result] = result
         return defined | {node.result}
@@ -317,7 +323,7 @@ class _Checker:
         try:
             return value.type(lambda reference: self._type_of(reference, defined))
         except ValueError as error:
-            self._problems.add(value.mark, f"'{value}' cannot be worked out: {error}", code="bad-arithmetic")
+            self._problems.add(value.mark, f"'{value}' cannot be calculated: {error}", code="bad-arithmetic")
             return None
 
     def _type_of(self, reference: Reference, defined: frozenset[str]) -> WireType | None:
@@ -334,14 +340,14 @@ class _Checker:
         if reference.name not in defined:
             self._problems.add(
                 reference.mark,
-                f"'${reference.name}' may not have a value yet here",
-                "it is set on another way only",
+                f"'${reference.name}' may have no value here",
+                "it is set on another branch only",
                 code="unset-value",
             )
         for attribute in reference.attributes:
             if wire.optional:
                 self._problems.add(
-                    reference.mark, f"{reference} reads '{attribute}' of what may be nothing", code="wrong-type"
+                    reference.mark, f"{reference} reads '{attribute}' of a value that may be nothing", code="wrong-type"
                 )
                 return None
             attributes = wire.attributes()

@@ -148,14 +148,14 @@ class Expression:
         """Its type; None if that of a value is unknown. Raises ValueError, worded for the user, if it is ill-typed."""
         kind = _kind(self.root, type_of)
         if kind is not None and kind.dimension is not None and kind.wire.name == UNNAMED:
-            raise ValueError("it comes to no quantity that there is a name for")
+            raise ValueError("its result is not a known kind of quantity")
         return kind.wire if kind is not None else None
 
     def value(self, read: Callable[[Reference], Any]) -> Any:
         """Its value. Raises ValueError if it has none: a division by 0, or the minimum of an empty list."""
         found = _value(self.root, read)
         if isinstance(found, float) and not math.isfinite(found):
-            raise ValueError(f"{self.text} comes to {found}")
+            raise ValueError(f"{self.text} gives {found}")
         return found
 
     def range(self, range_of: Callable[[Reference], Range]) -> Range:
@@ -177,23 +177,23 @@ def parse_expression(text: str, mark: Mark) -> Expression | Reference:
     try:
         root = _term(_tree(text), mark)
     except UnexpectedCharacters as error:
-        raise ValueError(f"'{shorten(text[error.pos_in_stream or 0 :], 20)}' is not understood in it") from None
+        raise ValueError(f"'{shorten(text[error.pos_in_stream or 0 :], 20)}' cannot be read") from None
     except UnexpectedEOF:
         raise ValueError(_ends_early(text)) from None
     except UnexpectedToken as error:
         raise ValueError(
-            f"'{shorten(str(error.token), 20)}' is out of place in it" if error.token else _ends_early(text)
+            f"'{shorten(str(error.token), 20)}' is out of place" if error.token else _ends_early(text)
         ) from None
     if isinstance(root, Reference):
         return root
     if not isinstance(root, Operation):
-        raise ValueError("it reads no value")
+        raise ValueError("it uses no value of the workflow")
     return Expression(mark, text, root)
 
 
 def _ends_early(text: str) -> str:
     if text.count("(") > text.count(")"):
-        return "a ')' is missing; within { } what has a comma is written in quotes"
+        return "a ')' is missing; inside { }, put a text with a comma in quotes"
     return "something is missing at its end"
 
 
@@ -218,7 +218,7 @@ def _term(tree: Any, mark: Mark) -> Term:
     if tree.data == "call":
         name = str(tree.children[0])
         if name not in FUNCTIONS:
-            raise ValueError(f"there is no '{shorten(name)}'; there are {', '.join(FUNCTIONS)}")
+            raise ValueError(f"unknown function '{shorten(name)}'; known: {', '.join(FUNCTIONS)}")
         return Operation(name, tuple(_term(child, mark) for child in tree.children[1:]))
     if tree.data in ("either", "both"):
         sign = {"either": "or", "both": "and"}[tree.data]
@@ -249,7 +249,7 @@ def _atom(token: "Token", mark: Mark) -> Term:
             return Constant(name, quantity.parse(text, unit), text)
         except ValueError:
             continue
-    raise ValueError(f"'{shorten(text)}' has no unit that is known here")
+    raise ValueError(f"'{shorten(text)}' has no known unit")
 
 
 # --- types
@@ -268,21 +268,21 @@ def _kind(term: Term, type_of: TypeOf) -> _Kind | None:
     kinds = [kind for kind in found if kind is not None]
     if term.sign == "count" and len(kinds) == len(found):
         if len(kinds) != 1 or kinds[0].wire.item is None:
-            raise ValueError(f"{term} counts no list")
+            raise ValueError(f"{term} needs a list")
         return _of_wire(INPUT_TYPES["Integer"])
     if len(kinds) < len(found):
         return None
     if term.sign in ("and", "or", "not"):
         for kind, part in zip(kinds, term.parts, strict=True):
             if kind.wire.name != "Flag":
-                raise ValueError(f"{part} is {kind}, and '{term.sign}' takes what holds or does not")
+                raise ValueError(f"{part} is {kind}, but '{term.sign}' takes only what is true or false")
         return kinds[0]
     if term.sign in COMPARISONS:
         return _compared(term, *kinds)
     if term.sign in FUNCTIONS and len(kinds) == 1 and (item := kinds[0].wire.item) is not None:
         kinds = [_of_wire(item, f"an item of {term.parts[0]}")]
     elif term.sign in FUNCTIONS and len(kinds) == 1:
-        raise ValueError(f"{term} is of one value; give it several, or a list")
+        raise ValueError(f"{term} has one value; give it several, or a list")
     return _reckoned(term, kinds)
 
 
@@ -291,7 +291,7 @@ def _reckoned(term: Operation, kinds: Sequence[_Kind]) -> _Kind:
     dimensions = []
     for kind, part in zip(kinds, term.parts, strict=False):
         if kind.dimension is None:
-            raise ValueError(f"{part} is {kind}, which is not reckoned with")
+            raise ValueError(f"{part} is {kind}, which cannot be calculated with")
         dimensions.append(kind.dimension)
     is_whole = all(kind.is_whole for kind in kinds)
     if term.sign in ("*", "/"):
@@ -312,9 +312,9 @@ def _compared(term: Operation, first: _Kind, second: _Kind) -> _Kind:
         if is_equality and not (first.is_whole and second.is_whole):
             raise ValueError(f"{a} and {b} are measured, and never equal to the last digit; compare them with < or >")
     elif first.wire.name != second.wire.name or first.wire.name not in ("Text", "Flag"):
-        raise ValueError(f"{a} is {first} and {b} is {second}, which are not compared")
+        raise ValueError(f"{a} is {first} and {b} is {second}, which cannot be compared")
     elif not is_equality:
-        raise ValueError(f"{a} is {first}: it is compared with == or !=")
+        raise ValueError(f"{a} is {first}: compare it with == or !=")
     for kind, other in ((first, b), (second, a)):
         if isinstance(other, Constant) and kind.wire.name == "Text":
             kind.wire.read(other.value)  # raises if the text is not among the words of a Literal
@@ -352,7 +352,7 @@ def _value(term: Term, read: Callable[[Reference], Any]) -> Any:
     if term.sign in FUNCTIONS:
         several = values[0] if isinstance(values[0], list | tuple) else values
         if not several and term.sign in ("min", "max"):
-            raise ValueError(f"{term} is of an empty list")
+            raise ValueError(f"the list of {term} is empty")
         return FUNCTIONS[term.sign](several)
     if len(values) == 1:
         return not values[0] if term.sign == "not" else -values[0]

@@ -49,8 +49,8 @@ def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
     if not isinstance(root, Entries):
         problems.add(
             root.mark,
-            f"{describe(root)} stands where a workflow should be",
-            "it has the key 'workflow'",
+            f"expected a workflow, found {describe(root)}",
+            "a workflow is a mapping with the key 'workflow'",
             code="wrong-shape",
         )
         return None
@@ -60,7 +60,7 @@ def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
     if name and name != stem:
         problems.add(
             root.values["workflow"].mark,
-            f"the workflow '{name}' stands in {stem}.yaml",
+            f"the workflow '{name}' is in {stem}.yaml",
             f"call it '{stem}'",
             code="name-mismatch",
         )
@@ -73,7 +73,7 @@ def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
         else:
             problems.add(
                 node.mark,
-                f"'result': {describe(node)} is no value of this workflow",
+                f"'result' must be a value of this workflow, not {describe(node)}",
                 "write $name",
                 code="bad-reference",
             )
@@ -94,7 +94,7 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
         return inputs
     if not isinstance(node, Entries):
         problems.add(
-            node.mark, f"'inputs': {describe(node)} is no mapping", "write {name: Type, …}", code="wrong-shape"
+            node.mark, f"'inputs' must be a mapping, not {describe(node)}", "write {name: Type, …}", code="wrong-shape"
         )
         return inputs
     for name, declared in node.values.items():
@@ -102,7 +102,7 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
         if not _NAME.fullmatch(name):
             problems.add(
                 mark,
-                f"'{shorten(name)}' is no name",
+                f"'{shorten(name)}' is not a valid name",
                 "letters, digits and _, not beginning with a digit",
                 code="bad-name",
             )
@@ -111,7 +111,7 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
             problems.add(
                 mark,
                 f"'{name}' cannot be an input",
-                "it has a meaning of its own where a workflow is used",
+                "this name has a special meaning where a workflow is called",
                 code="bad-name",
             )
             continue
@@ -127,7 +127,7 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
         if wire is None:
             problems.add(
                 type_node.mark,
-                f"{describe(named)} is no type",
+                f"{describe(named)} is not a type",
                 unknown=type_name or "",
                 known=INPUT_TYPES,
                 code="unknown-type",
@@ -148,7 +148,7 @@ def _read_node(node: Node, problems: Problems) -> TreeNode | None:
     if isinstance(node, Scalar) and node.text is not None:
         problems.add(
             node.mark,
-            f"{describe(node)} is no node",
+            f"{describe(node)} is not a node",
             f"write '{shorten(node.text)}:' (with the colon)",
             code="bad-node",
         )
@@ -157,8 +157,8 @@ def _read_node(node: Node, problems: Problems) -> TreeNode | None:
         extra = f"; here are {len(node.values)} keys" if isinstance(node, Entries) else ""
         problems.add(
             node.mark,
-            f"{describe(node)} stands where a tree's node should be",
-            f"a node is one key{extra}",
+            f"expected a node of the tree, found {describe(node)}",
+            f"a node has one key{extra}",
             code="wrong-shape",
         )
         return None
@@ -219,7 +219,7 @@ def _read_items(mark: Mark, node: Node | None, problems: Problems) -> dict[str, 
     """The lists of a `for_each`, by the names of their items."""
     if not isinstance(node, Entries) or not node.values:
         what = "'for_each' needs 'items'" if node is None else f"'items' has {describe(node)}"
-        allowed = "the lists, and what each of their items is called: {holder: $holders}"
+        allowed = "write each list, with a name for its items: {holder: $holders}"
         problems.add(node.mark if node else mark, what, allowed, code="bad-node" if node else "missing-key")
         return {}
     found: dict[str, Argument] = {}
@@ -227,8 +227,8 @@ def _read_items(mark: Mark, node: Node | None, problems: Problems) -> dict[str, 
         if _NAME.fullmatch(name):
             found[name] = _argument(listed, problems)
         else:
-            what = f"'{shorten(name)}' is no name"
-            problems.add(node.keys[name], what, "a name for the item, without $", code="bad-name")
+            what = f"'{shorten(name)}' is not a valid name"
+            problems.add(node.keys[name], what, "write a name for the item, without $", code="bad-name")
     return found
 
 
@@ -289,7 +289,7 @@ def _read_codes(node: Node | None, problems: Problems) -> dict[str, Mark]:
             codes[item.text] = item.mark
         else:
             allowed = "such as [hand.cone_empty]; without 'on', every failure is retried"
-            problems.add(item.mark, f"{describe(item)} is no failure code", allowed, code="unknown-code")
+            problems.add(item.mark, f"{describe(item)} is not a failure code", allowed, code="unknown-code")
     return codes
 
 
@@ -316,8 +316,8 @@ def _read_call(mark: Mark, name: str, body: Node, problems: Problems) -> Call | 
         else:
             problems.add(
                 as_node.mark,
-                f"'as': {describe(as_node)} is no name",
-                "a name for the result, without $",
+                f"'as' must be a name, not {describe(as_node)}",
+                "write a name for the result, without $",
                 code="bad-name",
             )
     rest = body.without("as")
@@ -342,12 +342,12 @@ def _argument(node: Node, problems: Problems) -> Argument:
         return Reference(node.mark, "", ())
 
 
-EXPRESSIONS = "write $name, $name.attribute, or what is worked out of such: 0.25 * $dose.dispensed"
+EXPRESSIONS = "write $name, $name.attribute, or a calculation with them: 0.25 * $dose.dispensed"
 
 
 def no_expression(node: Node, error: ValueError) -> str:
     """Why a text is no valid expression."""
-    return f"{describe(node)} cannot be worked out: {error}"
+    return f"{describe(node)} cannot be calculated: {error}"
 
 
 def why_no_expression(node: Node) -> str | None:
@@ -372,7 +372,7 @@ def _text(node: Entries, key: str, problems: Problems, required: bool = False) -
     if isinstance(value, Scalar) and value.text is not None:
         return value.text
     if value is not None:
-        problems.add(value.mark, f"'{key}': {describe(value)} is no text", code="wrong-shape")
+        problems.add(value.mark, f"'{key}' must be a text, not {describe(value)}", code="wrong-shape")
     elif required:
         problems.add(node.mark, f"'{key}' is missing", code="missing-key")
     return None

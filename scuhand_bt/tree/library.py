@@ -108,7 +108,7 @@ def literal(name: str, wire: WireType, node: Node, library: Library) -> Any:
     value = plain(node)
     if wire.item is not None:
         if not isinstance(node, Items):
-            raise ValueError(f"{describe(node)} is no list; write [one, another]")
+            raise ValueError(f"{describe(node)} is not a list; write [one, another]")
         return tuple(literal("", wire.item, item, library) for item in node.items)
     if wire.is_class:
         if value is None and wire.optional:
@@ -117,11 +117,11 @@ def literal(name: str, wire: WireType, node: Node, library: Library) -> Any:
             if value in library.powders:
                 return library.powders[value]
             raise ValueError(f"no powder '{shorten(value)}' in robot/powders.yaml")
-        raise ValueError(f"{describe(node)} cannot stand for a {wire.name}; wire it from an input, as ${name}")
+        raise ValueError(f"{describe(node)} cannot be a {wire.name}; wire it from an input, as ${name}")
     if name == "tolerance" and wire.name == "Mass" and isinstance(value, str) and value.rstrip().endswith("%"):
         ratio = parse(value, RATIO)
         if not 0 < ratio <= 1:
-            raise ValueError(f"'{shorten(value)}' is no tolerance; more than 0 % and at most 100 %")
+            raise ValueError(f"'{shorten(value)}' is not a tolerance; write more than 0 % and at most 100 %")
         return Percent(ratio)
     return wire.read(value)
 

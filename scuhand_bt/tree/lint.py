@@ -54,21 +54,21 @@ NEEDS = (
         "use",
         "place",
         "no-container",
-        "'{}' needs a container on the pan, and none was put there",
-        "`place_container:` before it",
+        "'{}' needs a container on the pan, but none was put there",
+        "write `place_container:` before it",
     ),
     Need(
         "dose",
         "tare",
         "no-tare",
         "'{}' doses into a container that was not weighed empty",
-        "`tare:` after `place_container`, and before it",
+        "write `tare:` after `place_container`, and before it",
     ),
     Need(
         "dose",
         "hover",
         "not-over-pan",
-        "'{}' opens the valve, and the arm was not sent over the pan, or left it again",
+        "'{}' opens the valve, but the arm was not sent over the pan, or has left it",
         "`move_over:`",
     ),
 )
@@ -112,12 +112,12 @@ class Lint:
         for declared in workflow.inputs.values():
             if declared.name not in read and workflow.name not in self._service:
                 what = f"the input '{declared.name}' is not used"
-                self._problems.warn(declared.mark, what, f"${declared.name}, or leave it out", code="unused-input")
+                self._problems.warn(declared.mark, what, f"use ${declared.name}, or leave it out", code="unused-input")
         given: set[str] = set()
         for node in walk(workflow.tree):
             if isinstance(node, Call) and node.result is not None:
                 if node.result not in read and node.result not in given:
-                    remedy = f"${node.result}, or leave 'as' out"
+                    remedy = f"use ${node.result}, or leave 'as' out"
                     what = f"the result '{node.result}' is not used"
                     self._problems.warn(node.result_mark, what, remedy, code="unused-result")
                 given.add(node.result)
@@ -131,8 +131,8 @@ class Lint:
                 given = {f"{RECORD} {name}": mark for name, mark in node.argument_marks.items()}
             for name, mark in given.items():
                 if name in defined:
-                    what = f"'{name.removeprefix(RECORD).strip()}' has a value already, which is lost here"
-                    self._problems.warn(mark, what, "a name of its own", code="shadowed-name")
+                    what = f"'{name.removeprefix(RECORD).strip()}' already has a value, which is lost here"
+                    self._problems.warn(mark, what, "use another name", code="shadowed-name")
             return defined.union(given)
         if isinstance(node, Decorator):
             return self._check_shadowed(node.child, defined)
@@ -169,7 +169,7 @@ class Lint:
         for code, mark in node.codes.items():
             if code not in raised:
                 then = "is never tried again" if node.kind == "retry" else "never goes on"
-                what = f"nothing here fails with {code}, and so it {then} for it"
+                what = f"nothing here fails with {code}, so it {then} for this code"
                 self._problems.warn(mark, what, "leave it out, or look at what the child calls", code="retry-never")
 
     def _is_sure(self, node: TreeNode) -> bool:
@@ -197,7 +197,7 @@ class Lint:
     def _check_fallback(self, node: Branch) -> None:
         for number, child in enumerate(node.children[:-1], 1):
             if self._is_sure(child):
-                what = f"this is never reached: child {number} of the fallback, before it, does not fail"
+                what = f"this is never reached: child {number} of the fallback, before it, never fails"
                 remedy = "put what can fail first, or leave this out"
                 self._problems.warn(node.children[number].mark, what, remedy, code="unreachable-branch")
                 return
@@ -211,8 +211,8 @@ class Lint:
         duration_s = float(literal("duration", PARAMETERS["duration"], argument, self.library))
         least_s = self.least_s(node.child)
         if duration_s < least_s:
-            what = f"{duration_s:g} s are over before this can be done: it takes at least {least_s:g} s"
-            self._problems.warn(argument.mark, what, "a longer time", code="short-timeout")
+            what = f"{duration_s:g} s are too short: this takes at least {least_s:g} s"
+            self._problems.warn(argument.mark, what, "allow a longer time", code="short-timeout")
 
     def least_s(self, node: TreeNode) -> float:
         """The least time that a node takes if it succeeds [s]."""
@@ -266,8 +266,8 @@ class Lint:
         if workflow.name in self._service:
             return
         if "arm" in devices_of(workflow.tree, self.library) and self._ends_parked(workflow.tree) is False:
-            what = f"'{workflow.name}' does not leave the arm parked: it may stand over the pan, or a mortar"
-            self._problems.warn(_last(workflow.tree).mark, what, "`park:` at the end", code="no-park")
+            what = f"'{workflow.name}' does not end with the arm parked: it may stay over the pan or a mortar"
+            self._problems.warn(_last(workflow.tree).mark, what, "write `park:` at the end", code="no-park")
         self._check_ready(workflow.tree, frozenset())
 
     def _ends_parked(self, node: TreeNode) -> bool | None:

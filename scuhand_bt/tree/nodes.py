@@ -167,7 +167,7 @@ class ForEach(_Begun):
         counts = {name: len(listed) for name, listed in lists.items()}
         if len(set(counts.values())) > 1:
             said = ", ".join(f"'{name}' has {count}" for name, count in counts.items())
-            raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"for_each: the lists are not of one length: {said}")
+            raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"for_each: the lists differ in length: {said}")
         self._rounds = [dict(zip(lists, items, strict=True)) for items in zip(*lists.values(), strict=True)]
         self._round.number = 1
 

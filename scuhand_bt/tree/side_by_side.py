@@ -52,16 +52,16 @@ def _check_places(node: Branch, library: Library, problems: Problems) -> None:
         if used.get("arm", number) != number and not is_known:
             problems.add(
                 node.children[number - 1].mark,
-                f"this moves in the zone '{zone}' beside the arm, and nothing keeps the arm out of it",
-                f"`zones:` in robot/cell.yaml, with '{zone}' and its box; else 'sequence'",
+                f"this moves in the zone '{zone}' while the arm moves, and nothing keeps the arm out of it",
+                f"describe '{zone}' and its box under `zones` of robot/cell.yaml, or use 'sequence'",
                 code="unknown-zone",
             )
     for number, name in anywhere.items():
         if used.get("arm", number) != number:
             problems.add(
                 node.children[number - 1].mark,
-                f"'{name}' commands the changer beside the arm in no zone, and nothing keeps the arm out of its way",
-                "`zones` in its class, with the zone that containers come and go through; else 'sequence'",
+                f"'{name}' commands the changer while the arm moves, but leases no zone: nothing keeps the arm away",
+                "name the zone that containers come and go through in `zones` of its class, or use 'sequence'",
                 code="no-zone",
             )
 
@@ -78,7 +78,7 @@ def _check_values(node: Branch, defined: frozenset[str], problems: Problems) -> 
         values = [value for part in parts for given in arguments_of(part) for value in references_of(given)]
         sets.append({part.result: part.result_mark for part in parts if isinstance(part, Call) and part.result})
         reads.append({value.name: value.mark for value in values if value.name in defined})
-    remedy = "which comes first is not known; a name of its own for each result"
+    remedy = "which comes first is not known; give each result a name of its own"
     for number, of in enumerate(sets, start=1):
         for name, mark in of.items():
             for other, (also_sets, also_reads) in enumerate(zip(sets, reads, strict=True), start=1):
@@ -99,7 +99,10 @@ def _check_records(node: Branch, library: Library, problems: Problems) -> None:
             if first.setdefault((name, depth), number) != number:
                 what = f"children {first[name, depth]} and {number} of 'parallel' both record '{name}'"
                 problems.add(
-                    child.mark, what, "which comes last is not known; a name of its own", code="parallel-values"
+                    child.mark,
+                    what,
+                    "which comes last is not known; give each a name of its own",
+                    code="parallel-values",
                 )
 
 
