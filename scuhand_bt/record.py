@@ -43,7 +43,7 @@ class Record:
             what = repr(event) if isinstance(event, str) else type(event).__name__
             kinds = ", ".join(one.__name__ for one in SKILL_EVENTS)
             raise TypeError(
-                f"{what} is no entry that a skill may write: write one of {kinds} (from scuhand_bt.skill), "
+                f"{what} is not an entry that a skill may write: write one of {kinds} (from scuhand_bt.skill), "
                 f'or a kind of your own as `cell.record.note("{NOTE_PREFIX}…", {{…}})`'
             )
         self._keep(event)

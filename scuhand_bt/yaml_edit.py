@@ -32,7 +32,7 @@ def _with(text: str, path: Path, value: str) -> str:
     node: Any = yaml.compose(text, Loader=yaml.SafeLoader)
     for depth, key in enumerate(path):
         if not isinstance(node, yaml.MappingNode):
-            raise ValueError(f"'{'.'.join(path[:depth])}' is no mapping (key: value)")
+            raise ValueError(f"'{'.'.join(path[:depth])}' is not a mapping (key: value)")
         held = next((held for name, held in node.value if name.value == key), None)
         is_empty = isinstance(held, yaml.ScalarNode) and held.tag == "tag:yaml.org,2002:null"
         if held is None or is_empty:

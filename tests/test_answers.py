@@ -219,8 +219,8 @@ def test_another_user_of_the_computer_answers_only_with_a_pin(tmp_path: Path) ->
 
         return say
 
-    assert "whose run it is has to answer" in as_nobody(says(None, None))
-    assert "whose run it is has to answer" in as_nobody(says("Bob", None))
+    assert "only the person whose run it is can answer" in as_nobody(says(None, None))
+    assert "only the person whose run it is can answer" in as_nobody(says("Bob", None))
     assert control.questions.waiting is not None
     assert as_nobody(says("Eve", "271828")) == "ok"
     given = control.questions.given()

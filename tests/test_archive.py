@@ -290,7 +290,7 @@ def test_an_altered_journal_is_shown_up_to_there_and_not_exported(run: Path, com
     for form in ("--csv", "--json"):
         code, out, err = command("export", run, form)
         assert (code, out) == (3, "")
-        assert "Nothing is exported" in err
+        assert "Nothing was exported" in err
 
 
 @pytest.mark.parametrize("form", [("show",), ("verify",), ("export", "--csv"), ("plot", "a")])

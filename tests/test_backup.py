@@ -113,10 +113,10 @@ def rewritten(archive: Path, change: dict[str, bytes], *, listed: bool) -> None:
     ("change", "listed", "what"),
     [
         ({"trees/own.yaml": b"workflow: evil\n"}, False, "'trees/own.yaml' in it is not what was copied"),
-        ({"trees/new.yaml": b""}, False, "its list of files is not that of the files in it"),
-        ({"trees/../../evil": b""}, True, "is no file of a lab"),
-        ({"/etc/evil": b""}, True, "is no file of a lab"),
-        ({"elsewhere/evil": b""}, True, "is no file of a lab"),
+        ({"trees/new.yaml": b""}, False, "its list of files does not match the files in it"),
+        ({"trees/../../evil": b""}, True, "is not a file of a lab"),
+        ({"/etc/evil": b""}, True, "is not a file of a lab"),
+        ({"elsewhere/evil": b""}, True, "is not a file of a lab"),
     ],
 )
 def test_an_archive_that_is_not_what_was_written_makes_nothing(
@@ -147,7 +147,7 @@ def test_nothing_is_restored_over_a_folder_that_is_there(lab: Path, tmp_path: Pa
     assert command("backup", tmp_path / "lab.zip", "--lab", lab)[0] == 0
     code, _, err = command("restore", tmp_path / "lab.zip", lab)
     assert code == 2
-    assert "it is there already" in err
+    assert "it exists already" in err
 
 
 def test_a_backup_that_cannot_be_written_leaves_the_last_one(lab: Path, tmp_path: Path, command: Call) -> None:
@@ -169,7 +169,7 @@ def test_no_backup_is_written_over_a_recipe_or_into_what_it_copies(lab: Path, co
     before = sorted(lab.rglob("*"))
     code, _, err = command("backup", f"{lab}/{name}", "--lab", lab)
     assert code == 2
-    assert "is to be a file of this kind: .zip" in err or "would be part of what it copies" in err
+    assert "must be a file of this kind: .zip" in err or "would be part of what it copies" in err
     assert recipe.read_text() == DOSES
     assert sorted(lab.rglob("*")) == before
 
@@ -204,7 +204,7 @@ def test_a_run_that_goes_on_is_left_alone(tmp_path: Path, command: Call) -> None
     lab = make_lab(tmp_path / "lab")
     journal = killed(lab / ".scuhand" / "runs" / "r.sqlite")
     presence = Presence(journal)
-    assert "killed goes on, and is left alone" in command("vacuum", "--lab", lab)[1]
+    assert "killed is still running, and was skipped" in command("vacuum", "--lab", lab)[1]
     presence.end()
     assert journal.with_name("killed.sqlite-wal").exists()
 

@@ -45,9 +45,9 @@ def measured(value: float, ago: timedelta = timedelta()) -> Measured:
 @pytest.mark.parametrize(
     ("ago", "said"),
     [
-        (None, "was not weighed right yet"),
+        (None, "none was right yet"),
         (timedelta(hours=23, minutes=59), None),
-        (timedelta(hours=24, minutes=1), "was last weighed right at 2026-03-01T07:59:00+00:00 (run r)"),
+        (timedelta(hours=24, minutes=1), "the last one was right at 2026-03-01T07:59:00+00:00 (run r)"),
     ],
 )
 def test_a_check_weight_expires(
@@ -133,7 +133,7 @@ def test_a_tolerance_that_the_repeatability_cannot_tell_is_told_where_it_stands(
 ) -> None:
     found = beyond_limits(*plan_of(), {"repeatability_mg": measured(repeatability_mg)}, NOW)
     assert [at(problem)[1:] for problem in found] == ([place] if place else [])
-    assert all(f"with a repeatability of {repeatability_mg} mg" in problem.message for problem in found)
+    assert all(f"is too fine for a repeatability of {repeatability_mg} mg" in problem.message for problem in found)
 
 
 def test_check_notes_what_a_real_run_is_refused_for(command: Call, lab_folder: LabFolder) -> None:
@@ -141,7 +141,7 @@ def test_check_notes_what_a_real_run_is_refused_for(command: Call, lab_folder: L
     ended = command("check", recipe, "--fast")
     assert ended.returncode == 0
     assert "robot/cell.yaml:6:" in ended.stderr
-    assert "a check weight is asked for every 24 h 00 min, and was not weighed right yet" in ended.stderr
+    assert "a check weight is required every 24 h 00 min, and none was right yet" in ended.stderr
     assert len(json.loads(command("check", recipe, "--fast", "--json").stdout)["notes"]) == 2, (
         "the changer, and the weight"
     )
@@ -157,7 +157,7 @@ def test_a_real_run_without_a_check_weight_is_refused_or_warned_and_a_dry_run_is
         return Session(plan, lab, Options(simulation, "paper", tmp_path / "runs"), shared_planner(plan, lab))
 
     (refused,) = problems_of(lambda: begin(None))
-    assert "a check weight is asked for" in refused
+    assert "a check weight is required every" in refused
     assert list((tmp_path / "runs").glob("*.sqlite")) == []
     for simulation, limits, warned in ((None, {"when_beyond": "warn"}, 1), (DryRun(), {}, 0)):
         session = begin(simulation, **limits)
@@ -177,7 +177,7 @@ def test_a_run_that_was_begun_goes_on_whatever_its_balance(
     found = resumable(ran.journal, checked_history(ran.journal), plan, lab, accept_changes=True)
     session = Session(plan, lab, Options(None, "paper", tmp_path / "runs"), shared_planner(plan, lab), resumes=found)
     session.close()
-    assert "a check weight is asked for" in session.warnings[0]
+    assert "a check weight is required every" in session.warnings[0]
 
 
 def keep_checked(cell: Cell, folder: Path) -> None:

@@ -239,7 +239,7 @@ def test_a_balance_whose_teaching_is_old_is_told_to_be_learnt_anew(
     assert "anew" not in command("balance", "--lab", lab_folder.folder).stdout
     monkeypatch.setattr("scuhand_bt.lab_state.beliefs.BALANCE_BELIEVED_FOR", timedelta(0))
     assert (
-        "shimadzu simulated, 0.1 mg, 10 Hz: doses taught its delay"
+        "shimadzu simulated, 0.1 mg, 10 Hz: its delay was learnt from doses"
         in command("balance", "--lab", lab_folder.folder).stdout
     )
 
@@ -300,7 +300,7 @@ def test_how_a_lot_flowed_half_a_year_ago_is_a_first_guess_again(
     LabState(lab_folder.folder / ".scuhand").recall(cell, datetime.now().astimezone())
     assert cell.powder_beliefs == {"glass_beads/L7": belief.model_copy(update={} if is_known else {"doses": 0})}
     told = command("powders", "--lab", lab_folder.folder).stdout
-    assert told.count("more than 180 days ago: a first guess again") == int(not is_known)
+    assert told.count("more than 180 days ago: only a first guess again") == int(not is_known)
     told = json.loads(command("powders", "--json", "--lab", lab_folder.folder).stdout)
     old = [one["too_old"] for one in told["beliefs"][-2:]]
     assert old == [not is_known, False], "it is shown, and believed no more; what was simulated today is not old for it"

@@ -251,7 +251,7 @@ def test_a_controller_is_chosen_by_name(command: Call, recipe: Path, controller:
         (["--dry-run", "--json", "/nosuch/folder/out.json"], "cannot be written"),
         (["--speed", "2"], "only a dry run"),
         (["--rehearse", "--speed", "2"], "only a dry run has a speed"),
-        (["--rehearse", "--dry-run"], "a dry run or a rehearsal"),
+        (["--rehearse", "--dry-run"], "a run cannot be both; choose one"),
         (["--plant", "json:Class"], "only a dry run or a rehearsal"),
         (["--nonsense"], "--nonsense"),
     ],
@@ -340,17 +340,17 @@ def test_a_motion_a_dose_and_the_reach_can_be_drawn(command: Call, recipe: Path,
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
-        (("reach", "-o", "reach.png"), "Invalid value for --output: {} is to be a file of this kind: .html, .htm"),
+        (("reach", "-o", "reach.png"), "Invalid value for --output: {} must be a file of this kind: .html, .htm"),
         (("reach", "--task", "scoop", "-o", "reach.html"), "writes a table, and no file"),
-        (("show-move", "park", "balance", "-o", "move.svg"), "{} is to be a file of this kind: .html, .htm, .png"),
-        (("study", "recipes/xrd_holders.yaml", "-o", "study.json"), "{} is to be a file of this kind: .csv"),
+        (("show-move", "park", "balance", "-o", "move.svg"), "{} must be a file of this kind: .html, .htm, .png"),
+        (("study", "recipes/xrd_holders.yaml", "-o", "study.json"), "{} must be a file of this kind: .csv"),
         (
             ("plan", "recipes/xrd_holders.yaml", "--html", "plan.txt"),
-            "Invalid value for --html: {} is to be a file of this kind: .html",
+            "Invalid value for --html: {} must be a file of this kind: .html",
         ),
         (
             ("run", "recipes/xrd_holders.yaml", "--dry-run", "--json", "out.csv"),
-            "Invalid value for --json: {} is to be a file of this kind",
+            "Invalid value for --json: {} must be a file of this kind",
         ),
     ],
 )
@@ -377,7 +377,7 @@ def test_a_page_without_its_library_says_what_to_install(
 
 
 def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(command: Call) -> None:
-    assert "belong together" in command("show-move", "mortar_bay", "balance", "--load", "3 g").stderr
+    assert "give both --load and --powder" in command("show-move", "mortar_bay", "balance", "--load", "3 g").stderr
     ended = command("show-move", "mortarbay", "balance")
     assert ended.returncode == 2
     assert "did you mean 'mortar_bay'?" in ended.stderr
@@ -426,7 +426,7 @@ TOLD_TO_TWINS = {
     "weight 20": "not done: ",
     "fill 1 xrd_holder a": "'a' stands in slot 1",
     "sheet": "a fresh sheet is in the hand",
-    "dance": "not done: the words are: place KIND ID",
+    "dance": "not done: write one of: place KIND ID",
 }
 
 

@@ -56,14 +56,17 @@ def sieving(folder: Path, write: str) -> Path:
 @pytest.mark.parametrize(
     ("write", "why"),
     [
-        ('cell.record.event("sample", {"id": "a"})', "'sample' is no entry that a skill may write"),
+        ('cell.record.event("sample", {"id": "a"})', "'sample' is not an entry that a skill may write"),
         ('cell.record.note("sample", {"id": "a"})', 'write `cell.record.note("lab.sample", {…})`'),
-        ('cell.record.event(Ended(exit_code=0, reason=""))', "Ended is no entry that a skill may write"),
-        ('cell.record.event(type("Mine", (SkillEvent,), {"KIND": "sample"})())', "Mine is no entry that a skill may"),
+        ('cell.record.event(Ended(exit_code=0, reason=""))', "Ended is not an entry that a skill may write"),
+        (
+            'cell.record.event(type("Mine", (SkillEvent,), {"KIND": "sample"})())',
+            "Mine is not an entry that a skill may",
+        ),
         ('getattr(cell.record, "job_ended")("done")', "'Record' object has no attribute 'job_ended'"),
         (
             'cell.record.note("lab.sieved", {"mesh_mm": float("nan")})',
-            "nan among the values of 'lab.sieved' is no JSON",
+            "nan among the values of 'lab.sieved' is not JSON",
         ),
     ],
 )
@@ -103,7 +106,7 @@ def test_a_kind_without_the_prefix_of_labs_is_refused_when_it_is_made(kind: Any)
     "values", [[], {1: 2}, {"a": (1, 2)}, {"a": {"b": b"x"}}, {"a": [float("inf")]}, {"a": object()}]
 )
 def test_values_that_are_no_json_are_refused_when_they_are_made(values: Any) -> None:
-    with pytest.raises(ValueError, match=r"among the values of 'lab\.sieved' is no JSON: write finite numbers"):
+    with pytest.raises(ValueError, match=r"among the values of 'lab\.sieved' is not JSON: write finite numbers"):
         Note("lab.sieved", values)
 
 

@@ -38,13 +38,15 @@ def test_commands_submit_list_and_cancel(database: str, tmp_path: Path, command:
     assert command("cancel", 1, *where).returncode == 2
     (job,) = json.loads(command("queue", "--all", "--json", *where).stdout)
     assert (job["status"], job["is_to_stop"]) == ("cancelled", False), "it has stopped"
-    assert command("cancel", 10**20, *where).stderr.startswith(f"job {10**20} neither waits nor is it run")
+    assert command("cancel", 10**20, *where).stderr.startswith(f"job {10**20} is neither waiting nor running")
     assert "is empty" in command("queue", *where).stdout
     assert "here" in command("fleet", *where).stdout
     assert command("fleet", "--forget", "nobody", *where).returncode == 2
     code, _, said = command("fleet", "--forget", "here", *where)
     assert code == 2
-    assert "'here' is there" in said, "it would be back with its next job, and none comes to it until then"
+    assert "'here' is running, it was heard of" in said, (
+        "it would be back with its next job, and none comes to it until then"
+    )
     run(end())
     assert "no stations" in command("fleet", "--forget", "here", *where).stdout
 

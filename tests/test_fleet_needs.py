@@ -24,11 +24,11 @@ def test_a_station_with_all_that_a_recipe_names_lacks_nothing(plan: Plan, offer:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"simulated": False}, "it is a real one, and simulated devices are asked for"),
+        ({"simulated": False}, "it has real devices, but simulated ones are asked for"),
         ({"maximum_mg": 100.0}, "its balance's maximum is 100.0 mg, and "),
         (
             {"least_tolerance_mg": 2.5},
-            "the narrowest tolerance that its balance can tell is 2.5 mg, and the recipe's is 2",
+            "the finest tolerance of its balance is 2.5 mg, and the recipe's is 2",
         ),
         ({"lots": {"mortar_bay": "glass_beads/GB-0"}}, "its mortar_bay holds glass_beads/GB-0, not glass_beads/GB-1"),
         ({"powder": ()}, "it has no powder 'glass_beads'"),
@@ -150,7 +150,7 @@ def test_an_order_that_no_station_can_do_says_what_is_missing_where(
         choose([order], stations)
     assert str(error.value) == (
         f"{plan.recipe.path}: no station can do it: at bare it has no powder 'glass_beads'; it has no mortar "
-        "'agate_mortar'; at real it is a real one, and simulated devices are asked for"
+        "'agate_mortar'; at real it has real devices, but simulated ones are asked for"
     )
 
 

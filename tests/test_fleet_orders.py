@@ -25,7 +25,7 @@ def test_an_order_carries_the_recipe_and_its_tables_byte_for_byte(tmp_path: Path
 
 def test_a_recipe_whose_name_no_database_can_keep_is_refused(tmp_path: Path) -> None:
     plan = plan_of(make_lab(tmp_path / "lab"), "b\udcff.yaml")
-    with pytest.raises(SourceError, match="is not UTF-8: give it another one"):
+    with pytest.raises(SourceError, match="are not UTF-8: rename the file"):
         submission_of(plan, simulated=True)
 
 

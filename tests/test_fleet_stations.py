@@ -148,7 +148,11 @@ def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
 
 @pytest.mark.parametrize(
     ("name", "why"),
-    [(" ", "a person's name has 1 to 80 signs"), ("a\x1b[31m", "that can be read"), ("Ada", "Ada signs with a PIN")],
+    [
+        (" ", "a person's name must have 1 to 80 visible"),
+        ("a\x1b[31m", "visible characters"),
+        ("Ada", "Ada signs with a PIN"),
+    ],
 )
 def test_a_station_refuses_an_operator_in_whose_name_no_run_could_begin(
     name: str, why: str, command: Call, tmp_path: Path
@@ -173,4 +177,4 @@ def test_a_station_has_no_name_that_is_too_long_for_the_queue(command: Call, tmp
 def test_a_station_has_a_name_that_can_be_seen(name: str, command: Call) -> None:
     refused = command("station", "--dry-run", "--name", name, "--database", "host=127.0.0.1 port=1")
     assert refused.returncode == 2
-    assert "a name is of letters that can be seen" in refused.stderr
+    assert "a name must have only visible letters" in refused.stderr

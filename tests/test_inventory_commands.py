@@ -48,8 +48,8 @@ def test_an_operator_says_what_is_there(inventory: Call) -> None:
         (("mortar_bay", "1 g"), "nothing is known of the powder yet; name it"),
         (("mortar_bay", "1 g", "--powder", "glas_beads"), "did you mean 'glass_beads'?"),
         (("cone", "1 g"), "nothing is known of the powder yet"),
-        (("sheet", "new"), "'new' is nothing a sheet can be; fresh or touched"),
-        (("changer", "full"), "'full' is no number of what is used"),
+        (("sheet", "new"), "'new' is not a state of a sheet; write fresh or touched"),
+        (("changer", "full"), "'full' is not a number of what is used"),
         (("changer", "25"), "'25' is more than the changer's 24 slots; write 0 to 24"),
         (("changer", "2", "--powder", "glass_beads"), "it holds no powder"),
     ],
@@ -89,13 +89,13 @@ def test_what_no_sample_takes_from_does_not_come_into_a_vessel(inventory: Call, 
     code, said, noted = inventory("check", "--fast", path)
     assert (code, "[unused-source]" in said, "the vessel 'jar'" in noted) == (0, True, False)
     inventory("inventory", "set", "jar", "2 g", "--powder", "glass_beads", "--lot", "L8")
-    assert "what is left of glass_beads/L7 is to go there" in inventory("check", "--fast", path)[2]
+    assert "leftovers of glass_beads/L7 would go there" in inventory("check", "--fast", path)[2]
 
 
 def test_less_than_nothing_is_refused(inventory: Call) -> None:
     code, _, error = inventory("inventory", "set", "--powder", "glass_beads", "mortar_bay", "--", "-1 g")
     assert code == 2
-    assert "'-1 g' is less than nothing" in error
+    assert "'-1 g' is less than 0" in error
 
 
 def test_check_notes_what_a_real_run_would_ask_and_dry_runs_do_not_mind(inventory: Call, lab_folder: LabFolder) -> None:
@@ -103,7 +103,10 @@ def test_check_notes_what_a_real_run_would_ask_and_dry_runs_do_not_mind(inventor
     inventory("inventory", "set", "mortar_bay", "3 g", "--powder", "glass_beads", "--lot", "L7")
     code, _, noted = inventory("check", path)
     assert code == 0
-    assert f"Note: {path}:{AMOUNT}: 'beads' holds 3.0000 g of glass_beads/L7 by the inventory (operator " in noted
+    assert (
+        f"Note: {path}:{AMOUNT}: 'beads' holds 3.0000 g of glass_beads/L7 according to the inventory (operator "
+        in noted
+    )
     notes = json.loads(inventory("plan", path, "--trials", 0, "--json")[1])["notes"]
     assert any("the recipe says 5.0000 g" in note for note in notes)
     inventory("inventory", "set", "mortar_bay", "3 g", "--lot", "L8")

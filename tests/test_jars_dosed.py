@@ -118,7 +118,7 @@ def test_check_counts_what_is_thrown_away_of_a_jar(lab_folder: LabFolder, doses:
     for problem in problems:
         assert "bring 3 of its doses (" in problem.message
         assert "are needed, what is left of each load is thrown away" in problem.message
-        assert "say `leftover: return`, with which they all are, fill in more" in problem.message
+        assert "write `leftover: return`, with which all are, fill in more" in problem.message
 
 
 def test_a_jar_is_refilled_before_the_first_dose_that_is_not_sure_to_come(lab_folder: LabFolder) -> None:

@@ -217,7 +217,7 @@ def test_the_judge_of_damaged_journals_notices_what_the_chain_would_not(run: Pat
 def test_a_file_that_is_no_journal_is_said_to_be_none(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.sqlite"
     path.write_bytes(content)
-    with pytest.raises(SourceError, match="no journal of a run"), open_journal(path):
+    with pytest.raises(SourceError, match="not a run's journal"), open_journal(path):
         pass
 
 
@@ -339,5 +339,5 @@ def test_a_journal_of_version_1_is_read_as_one_of_today_and_not_touched(old_run:
 
 
 def test_a_run_of_version_1_is_not_resumed(old_run: Path) -> None:
-    with pytest.raises(SourceError, match=r"an older scuhand-bt wrote it.*start the run anew"):
+    with pytest.raises(SourceError, match=r"an older scuhand-bt wrote it.*start a new run, with the samples"):
         checked_history(old_run)

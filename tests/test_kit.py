@@ -27,7 +27,7 @@ def of_case(command: Call, lab: LabFolder, case: str, *options: str, head: str =
 def test_the_shipped_tests_pass_and_come_to_every_skill_of_their_workflows(command: Call) -> None:
     ended = command("test", REPOSITORY / "trees" / "scoop_and_dispense.test.yaml")
     assert ended.returncode == 0, ended.stdout
-    assert "of 'scoop_and_dispense' 11 of 11 skills and 6 of 6 branches were come to" in ended.stdout
+    assert "'scoop_and_dispense': 11 of 11 skills and 6 of 6 branches were reached" in ended.stdout
     assert "5 tests, 0 failed." in ended.stdout
 
 
@@ -70,7 +70,7 @@ def test_what_is_expected_and_comes_passes(command: Call, lab_folder: LabFolder)
     code, text = of_case(command, lab_folder, EMPTY + expect)
     assert code == 0, text
     assert "never: scoop_and_dispense/sequence.1/fill/retry/sequence.2/dispense" in text
-    assert "of 'scoop_and_dispense' 4 of 11 skills and 4 of 6 branches were come to" in text
+    assert "'scoop_and_dispense': 4 of 11 skills and 4 of 6 branches were reached" in text
 
 
 def test_a_substitution_that_no_call_comes_to_fails_the_test(command: Call, lab_folder: LabFolder) -> None:

@@ -179,7 +179,7 @@ def test_the_ledgers_head_can_be_noted_and_held_against_it(tmp_path: Path, comma
     Ledger(state).add("r4", "begun", 1, "0" * 64, durable=False)
     code, out, _ = command("ledger", "--lab", lab, "--head", noted)
     assert code == 0
-    assert "has had the head that you noted" in out
+    assert "contains the head that you noted" in out
     assert command("ledger", "--lab", lab, "--head", "1" * 64)[0] == 3
     assert [line["run"] for line in json.loads(command("ledger", "--lab", lab, "--json")[1])["lines"]][-1] == "r4"
     with closing(sqlite3.connect(state / "lab.db", isolation_level=None)) as database:
@@ -218,6 +218,6 @@ def test_a_key_that_cannot_be_used_stops_before_anything_moves(tmp_path: Path, m
     pytest.importorskip("cryptography")
     (tmp_path / "key").write_text("not a key", encoding="utf-8")
     monkeypatch.setenv(KEY_VARIABLE, str(tmp_path / "key"))
-    with pytest.raises(SourceError, match="no signing key"):
+    with pytest.raises(SourceError, match="not a signing key"):
         dry_run(tmp_path, DOSE)
     assert not list(tmp_path.glob("runs/*.sqlite"))

@@ -35,7 +35,7 @@ def test_check_warns_once_of_a_tolerance_that_lumps_hardly_meet(lab_folder: LabF
     assert len(told) == 1
     assert "lumpy.yaml:7:29" in told[0]
     assert (
-        "about 80% of such samples can be in tolerance (± 3 mg): titanium_dioxide comes in lumps of some 3.5 mg"
+        "only about 80% of such samples can be in tolerance (± 3 mg): titanium_dioxide comes in lumps of about 3.5 mg"
         in told[0]
     )
 
@@ -47,4 +47,4 @@ def test_check_warns_of_what_lumps_and_the_guard_band_leave_together(
     """Lumps of 0.5 mg alone leave nine in ten within 0.6 mg; of a study's doses three in four were told so."""
     recipe = RECIPE.replace("titanium_dioxide", "monosodium_glutamate").replace("3 mg", f"{tolerance_mg} mg")
     said = command("check", lab_folder.write("recipes/fine.yaml", recipe), "--fast")
-    assert ("comes in lumps of some 0.5 mg" in said.stdout) == warned
+    assert ("comes in lumps of about 0.5 mg" in said.stdout) == warned

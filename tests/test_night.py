@@ -65,7 +65,7 @@ def test_a_night_may_end_on_the_next_day(text: str, lasts: timedelta) -> None:
 
 @pytest.mark.parametrize("text", ["", "20:00", "25:00-08:00", "8pm-6am"])
 def test_what_is_no_night_is_refused(text: str) -> None:
-    with pytest.raises(SourceError, match="is no night; such as 20:00-08:00"):
+    with pytest.raises(SourceError, match="is not a night; write hours such as 20:00-08:00"):
         read_night(text)
 
 
@@ -148,7 +148,7 @@ def test_no_sample_is_done_before_one_that_comes_before_it(desk: Desk) -> None:
 def test_an_order_that_lets_more_be_done_is_named(plan: Plan, desk: Desk) -> None:
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
     said = list(in_words(plan, desk.lab, odds, NIGHT, lambda made: tried(made, 600.0)))
-    assert said[-1] == "With `order: persons_together` it would be 3, by as many dry runs."
+    assert said[-1] == "With `order: persons_together` it would be 3, by the same number of dry runs."
 
 
 def test_another_order_is_named_only_for_what_its_own_dry_runs_say(plan: Plan, desk: Desk) -> None:
@@ -296,7 +296,7 @@ def test_a_last_sample_that_stops_the_run_is_not_done(desk: Desk) -> None:
 
 def test_fewer_dry_runs_than_show_what_stops_one_of_twenty_are_said_to_be_so(desk: Desk) -> None:
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
-    rare = "What stops one run of 20 may not have come in 4 dry runs: more `--trials` tell."
+    rare = "4 dry runs may not show what stops one run in 20: use more `--trials`."
     for many in (4, 20):
         odds = odds_of(plan, [trial_of(plan, 60.0)] * many)
         (said,) = in_words(plan, desk.lab, odds, NIGHT, lambda made: tried(made, 60.0))
@@ -321,7 +321,7 @@ def test_a_plan_tells_where_dry_runs_asked_a_person_for_what_it_does_not_know_of
         plan, [whole, whole, whole, replace(whole, asked_s={change: [[70.0, 70.0]], "m-2": [[150.0, 150.0]]})]
     )
     (said,) = unforeseen_in_words(plan, odds)
-    assert said.startswith("In dry runs a person was also asked for something at m-2, which need not come: ")
+    assert said.startswith("In dry runs a person was also asked for something at m-2, which may not happen: ")
 
 
 @pytest.mark.slow

@@ -49,9 +49,9 @@ def test_doses_of_one_scoop_that_are_more_than_it_brings_are_warned_of_at_their_
     (told,) = warned(lab_folder, samples)
     assert told.mark.line == 9
     assert told.mark.file.endswith("one.yaml")
-    assert "'many' takes 2 doses (5.0000 g) of one scoop from 'beads', and of 17.9600 g" in told.message
+    assert "'many' takes 2 doses (5.0000 g) from one scoop of 'beads', but of 17.9600 g" in told.message
     assert "several samples, of 1 dose each" in told.message
-    assert "load limit (5.0000 g) is little for so much at once" in told.message
+    assert "load limit (5.0000 g) is too small for so much at once" in told.message
 
 
 def test_a_scoop_that_is_the_only_one_is_a_whole_load_though_nobody_knows_yet_what_scoops_bring(tmp_path: Path) -> None:

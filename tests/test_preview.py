@@ -128,7 +128,7 @@ def test_the_command_writes_the_page_and_refuses_another_kind_of_file(command: C
     assert ended.returncode == 0, ended.stderr
     page = (tmp_path / "plan.html").read_text(encoding="utf-8")
     assert "stay: the plan" in page
-    assert "By 1 dry run on the simulated cell, which tells no interval" in page
+    assert "By 1 dry run on the simulated cell, too few for an interval" in page
     assert "Each dry run has a cell of its own" in page
     assert not list(lab.glob(".scuhand/runs/*"))
 

@@ -78,7 +78,7 @@ def time_of(journal: Path) -> TimeSpent:
 
 def is_refused(err: str) -> bool:
     """A file for its suffix."""
-    return "is to be a file of this kind" in " ".join(err.replace("│", " ").split())
+    return "must be a file of this kind" in " ".join(err.replace("│", " ").split())
 
 
 def test_the_page_fetches_nothing_and_no_text_of_a_recipe_becomes_markup(whole: str) -> None:

@@ -293,11 +293,11 @@ def test_a_changed_recipe_or_lab_is_refused_and_may_be_accepted(run: Run) -> Non
 @pytest.mark.parametrize(
     ("before", "after", "what"),
     [
-        ("  - {id: b, mass: 80 mg}\n", "", "'b' was under way, and this plan has it no more"),
+        ("  - {id: b, mass: 80 mg}\n", "", "'b' was under way, but is no longer in this plan"),
         (
             "  - {id: b,",
             "  - {id: new, mass: 50 mg}\n  - {id: b,",
-            "'b' had begun, and in this plan 'new' comes before",
+            "'b' had begun, but in this plan 'new' comes before",
         ),
     ],
 )
@@ -562,7 +562,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
         session.run(watch)
     finally:
         session.close()
-    with pytest.raises(SourceError, match=r"Unwritable cannot be written down.*anew"):
+    with pytest.raises(SourceError, match=r"Unwritable cannot be written down.*start a new run"):
         checked_history(run.journal)
 
 

@@ -152,7 +152,7 @@ def test_a_run_that_is_about_to_begin_is_said_to_be(tmp_path: Path, made: str, c
         for looks in ("show", "verify"):
             looked = command(looks, "begins", "--lab", lab)
             assert looked.returncode == 2
-            assert "it is about to begin: there is nothing of it to read yet; look again" in looked.stderr
+            assert "it is about to begin: nothing can be read yet; try again" in looked.stderr
     if journal is not None:
         journal.close()
     (listed,) = summaries(path.parent)

@@ -101,10 +101,10 @@ def test_a_value_is_changed_where_it_stands_and_all_else_stays_as_written() -> N
         ("recipe.b.mass", "'mass' has an anchor (&)"),
         ("recipe.c.k", "'c' has an anchor (&)"),
         ("recipe.d.0.k", "'0' has an anchor (&)"),
-        ("recipe.e", "nothing is written there; write a value, which is then varied"),
-        ("recipe.d", "it is written in lines of their own; name a value in it, or write it in one line"),
-        ("recipe.f", "it is written in lines of their own"),
-        ("recipe.g", "it is written in lines of their own"),
+        ("recipe.e", "it has no value; write one, which is then varied"),
+        ("recipe.d", "it has several lines; name a value in it, or write it in one line"),
+        ("recipe.f", "it has several lines"),
+        ("recipe.g", "it has several lines"),
     ],
 )
 def test_a_value_that_cannot_be_changed_by_itself_is_not(place: str, said: str) -> None:

@@ -69,7 +69,7 @@ def test_that_all_workers_of_a_cluster_have_gone_is_told_each_time_once(
         assert is_lost.wait(10.0)
     assert when == [31, 0]
     assert told[0].startswith("--dask tcp://x: the cluster has no worker any more: it goes on when one comes")
-    assert told[0].endswith("Ctrl-C ends it, and the same command goes on with what was kept")
+    assert told[0].endswith("Ctrl-C ends it, and the same command continues with what was kept")
 
 
 NONE = ModuleNotFoundError("No module named 'scuhand_bt'")
@@ -102,7 +102,7 @@ def run_on(workers: dict[str, Callable[[bytes], Any]]) -> Callable[..., dict[str
 
 
 @pytest.mark.parametrize(
-    ("makes_of", "why"), [(of_none, NONE), (of_another, f"it has {scuhand_bt.__version__} of another source")]
+    ("makes_of", "why"), [(of_none, NONE), (of_another, f"it has {scuhand_bt.__version__} from another source")]
 )
 def test_a_worker_of_another_version_or_without_the_program_is_named(
     cluster: SimpleNamespace, makes_of: Callable[[bytes], Any], why: object
@@ -112,7 +112,7 @@ def test_a_worker_of_another_version_or_without_the_program_is_named(
         pass
     (problem,) = wrong.value.problems
     assert problem.message.startswith(
-        f"the worker tcp://b has not this scuhand-bt {scuhand_bt.__version__} ({why}): install it there"
+        f"the worker tcp://b does not have this scuhand-bt {scuhand_bt.__version__} ({why}): install it there"
     )
 
 
@@ -134,6 +134,6 @@ def test_a_trial_of_a_worker_that_came_later_and_has_another_program_does_not_co
     with pytest.raises(SourceError) as wrong:
         study()
     (problem,) = wrong.value.problems
-    said = "a worker has not all that a trial takes" if has_left else "the worker tcp://late has not this"
+    said = "a worker lacks something that a trial needs" if has_left else "the worker tcp://late does not have this"
     assert problem.message.startswith(said)
-    assert problem.message.endswith("the same command goes on with what was kept")
+    assert problem.message.endswith("the same command continues with what was kept")

@@ -29,7 +29,7 @@ def test_a_ctrl_c_says_that_what_was_tried_is_kept_and_how_it_goes_on(
     flow.write_text(f"vary: {{{FLOW}: [50, 75]}}", encoding="utf-8")
     monkeypatch.setattr("scuhand_bt.study.executor_of", MagicMock(side_effect=KeyboardInterrupt))
     ended = command("study", setup.recipe, "--store", kept, *(flow if one == "flow.yaml" else one for one in options))
-    said = f"Interrupted. The dry runs that have ended are kept in {kept}; the same command goes on with the others.\n"
+    said = f"Interrupted. Finished dry runs are kept in {kept}; the same command continues with the others.\n"
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", said)
 
 
@@ -76,8 +76,8 @@ def test_what_is_written_at_the_end_is_as_it_was_until_then(
 @pytest.mark.parametrize(
     ("had", "said"),
     [
-        ((2, 0), "2 of 5 dry runs had ended, the quickest first: others may take longer"),
-        ((), "no dry run had ended; with fewer --trials one ends sooner"),
+        ((2, 0), "2 of 5 dry runs had ended; these are the quickest, and others may take longer"),
+        ((), "no dry run had ended, so there are no odds; try fewer --trials"),
     ],
 )
 def test_a_ctrl_c_tells_what_a_plan_has_come_to_so_far(
@@ -92,12 +92,12 @@ def test_a_ctrl_c_tells_what_a_plan_has_come_to_so_far(
     asked = ("plan", setup.recipe, "--trials", 5, "--night", "20:00-08:00")
     ended = command(*asked)
     assert ended.returncode == 130
-    assert f"Interrupted: {said}; what a night holds is not told by these.\n" in ended.stderr
+    assert f"Interrupted: {said}; nothing is said about the night.\n" in ended.stderr
     assert "finish the batch" in ended.stdout, "the jobs stand there before any dry run has ended"
     assert ("By 2 dry runs" in ended.stdout, "Roughly" in ended.stdout) == (bool(had), not had)
     assert "After the start no person is needed." in ended.stdout
     assert "In a night" not in ended.stdout
-    assert "what a night holds" not in command(*asked[:4]).stderr, "who has not asked for one"
+    assert "about the night" not in command(*asked[:4]).stderr, "who has not asked for one"
     as_json = command(*asked, "--json")
     assert (as_json.returncode, as_json.stdout) == (130, ""), "what reads it would take it for the whole"
 
@@ -114,7 +114,7 @@ def test_a_plan_and_a_study_tell_that_runs_stop_and_need_a_person_then(
     monkeypatch.setattr("scuhand_bt.study.all_trials", some_stop)
     for asked in ("plan", "study"):
         told = command(asked, setup.recipe, "--trials", 4)
-        assert "Of 4 dry runs 3 stopped before the end, which shortens the time" in told.stdout
+        assert "Of 4 dry runs 3 stopped before the end, so the time above is too short" in told.stdout
         assert "to resume the run. The first: b: overshot, 1\n" in told.stdout
         assert "no person is needed" not in told.stdout
     stopped = json.loads(command("plan", setup.recipe, "--trials", 4, "--json").stdout)["odds"]["stopped"]
@@ -147,7 +147,7 @@ def test_the_command_tells_the_odds_and_writes_every_sample(
     for words in ("dry runs (SIMULATED): 4", "how long a run takes", "beads", "what time depends on", "Spearman"):
         assert words in drawn
     assert "By 4 dry runs" in shown
-    assert "of 3 samples are to be expected" in shown
+    assert "of 3 samples are expected" in shown
     assert "what duration_s depends on" in shown
     assert command("study", setup.recipe, "-o", "rows.txt").returncode == 2
 
@@ -155,11 +155,11 @@ def test_the_command_tells_the_odds_and_writes_every_sample(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--vary", "order.yaml", "--controller", "paper"), "--controller: it is what --vary names"),
+        (("--vary", "order.yaml", "--controller", "paper"), "--controller: --vary already names it"),
         (("--dask", "tcp://127.0.0.1:1", "--workers", 2), "--workers: a Dask cluster has its own"),
-        (("--vary", "order.yaml", "--optimise", 2, "-o", "x.csv"), "--output: a search proposes figures"),
-        (("--vary", "order.yaml", "--optimise", 2, "--plot", "x.png"), "--plot: a search proposes figures"),
-        (("--plot", "x.jpg"), "--plot: 'x.jpg' is to be a file of this kind: .png, .svg"),
+        (("--vary", "order.yaml", "--optimise", 2, "-o", "x.csv"), "--output: a search only proposes values"),
+        (("--vary", "order.yaml", "--optimise", 2, "--plot", "x.png"), "--plot: a search only proposes values"),
+        (("--plot", "x.jpg"), "--plot: 'x.jpg' must be a file of this kind: .png, .svg"),
         (("--trials", 10_000_000), "--trials: these are 10000000 dry runs, and 1000000 the most"),
         (
             ("--vary", "order.yaml", "--optimise", 2, "--trials", 10**9),
@@ -197,7 +197,7 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
     assert "Each dry run has a cell of its own" in shown
     assert "swap the sheet (two screws), wipe rollers and clamp (after " in shown
     one = " ".join(command("plan", setup.recipe, "--trials", 1).stdout.split())
-    assert re.search(r"By 1 dry run, which tells no interval: it takes [^(]+\. ", one)
+    assert re.search(r"By 1 dry run, too few for an interval: it takes [^(]+\. ", one)
     told = (
         r"wipe rollers and clamp \(after [\d a-z]+\)\. So a person comes 1 time: from the start until \d[\d a-z]+ after"
     )

@@ -139,6 +139,6 @@ def test_what_a_process_has_read_of_physics_before_their_file_was_changed_is_not
     came = trial(before, 0)
     own.write_text(f"{text}    # another one\n", encoding="utf-8")
     after = replace(before, modules=modules_hash(name, setup.lab))
-    with pytest.raises(SourceError, match="the --plant are made of has changed since"):
+    with pytest.raises(SourceError, match="the --plant import, has changed since"):
         trial(after, 0)
     assert trial(before, 0) == came, "what began with them goes on"

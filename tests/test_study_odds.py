@@ -61,13 +61,13 @@ def test_two_trials_tell_what_they_had_and_no_interval(setup: Setup, capsys: pyt
     tell_odds(odds)
     said = " ".join(capsys.readouterr().out.split())
     assert (
-        "By 2 dry runs, which tell no interval (what these had): it takes 9 min 00 s (5 min 00 s to 13 min 00 s)."
-        in said
+        "By 2 dry runs, too few for an interval (ranges are of these runs): "
+        "it takes 9 min 00 s (5 min 00 s to 13 min 00 s)." in said
     )
     tell_odds(odds_of(plan, [fake(seed, 300.0, "abc") for seed in range(3)]))
     said = " ".join(capsys.readouterr().out.split())
     assert "By 3 dry runs (intervals of 90 %): it takes" in said
-    assert "What is left is what each run reckons, by what its scoops should bring: no interval tells" in said
+    assert "Leftovers are what each run estimates, by what its scoops should bring: no interval says" in said
 
 
 def shown_after_s(balance: OurBalanceResponse) -> float:

@@ -37,8 +37,8 @@ def test_errors_are_the_same_in_another_process() -> None:
 @pytest.mark.parametrize(
     ("many", "said"),
     [
-        (1, "the process was killed, as for want of memory: try again"),
-        (2, "one of 2 processes was killed, as for want of memory: take fewer, and try again"),
+        (1, "the process was killed, perhaps for lack of memory: try again"),
+        (2, "one of 2 processes was killed, perhaps for lack of memory: use fewer, and try again"),
     ],
 )
 def test_a_process_that_is_killed_ends_the_study_in_words(many: int, said: str) -> None:

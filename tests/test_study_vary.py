@@ -60,7 +60,7 @@ def test_indices_that_there_cannot_be_are_told_with_that_they_are_rough(
 ) -> None:
     """Of one draw a place explained 3.78 of the variance, and 7.14 with others."""
     tell_dominant({"duration_s": {FLOW: {"first": first, "total": total}}}, "sobol")
-    assert ("tells how rough they are. More `draws`" in capsys.readouterr().out) is is_rough
+    assert ("These shares are rough: some" in capsys.readouterr().out) is is_rough
 
 
 def test_ranks_tell_what_goes_with_a_figure() -> None:
@@ -94,7 +94,7 @@ def test_of_a_place_with_names_the_mean_with_each_is_told(setup: Setup, command:
     [
         ("vary: {a.b: {from: 20 mg, to: 60 g}}", "a range goes from a smaller to a larger number of the same unit"),
         ("vary: {a.b: {from: 60 mg, to: 20 mg}}", "a range goes from a smaller to a larger number"),
-        ("{design: sobol, draws: 12, vary: {a.b: [x]}}", "a sobol design takes a power of two"),
+        ("{design: sobol, draws: 12, vary: {a.b: [x]}}", "a sobol design needs a power of two"),
         ("{design: random, vary: {a.b: [x]}}", "design"),
         ("vary: {a.b: {from: 1 mg, to: 1e999 mg}}", "a range goes from a smaller to a larger number"),
         ("vary: {a.b: {from: -1e309, to: 2}}", "a range goes from a smaller to a larger number"),
@@ -150,7 +150,7 @@ def test_draws_that_are_no_power_of_two_are_told_together_with_a_range_that_is_n
     with pytest.raises(SourceError) as wrong:
         read_vary(path, setup.recipe, setup.lab)
     draws, places = wrong.value.problems
-    assert str(draws) == f"{path}:2:8: 'draws': '3' is not accepted; a sobol design takes a power of two"
+    assert str(draws) == f"{path}:2:8: 'draws': '3' is not accepted; a sobol design needs a power of two"
     assert places.message.startswith("'recipe.samples.0.mass'")
 
 

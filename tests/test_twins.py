@@ -132,7 +132,7 @@ def test_a_world_of_another_cell_powder_or_seed_is_not_gone_on_with(
             TwinsProcess(tmp_path, lab, now, seed=seed)
         assert other in str(refused.value)
     (tmp_path / "made.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(SourceError, match="does not say of what the world"):
+    with pytest.raises(SourceError, match="does not say what the world"):
         TwinsProcess(tmp_path, lab, sources)
     with TwinsProcess(tmp_path, lab, {}, is_new=True) as twins:
         assert not twins.goes_on
@@ -186,7 +186,7 @@ def test_from_another_terminal_twins_do_what_a_person_would(tmp_path: Path, lab:
             ("unplug hand", 0, "the cable of 'hand' is out"),
             ("plug hand", 0, "the cable of 'hand' is in"),
             ("look", 0, "'a' stands on the pan; the valve is shut, the rim 90 mm wide; powder: source:beads 7.5000 g"),
-            ("dance", 2, "not done: the words are: place KIND ID"),
+            ("dance", 2, "not done: write one of: place KIND ID"),
         ):
             ended = command("twins", *words.split(), "--at", folder)
             assert ended.returncode == code, ended.stderr
@@ -280,7 +280,7 @@ def test_twins_that_die_within_a_rehearsal_end_it_and_it_is_resumed(tmp_path: Pa
         assert twins.masses_mg["source:beads"] == WHOLE_MG
         process.kill()
         process.wait()
-        with pytest.raises(SkillFailed, match=r"device\.lost: the twins have ended; what they were is on disk"):
+        with pytest.raises(SkillFailed, match=r"device\.lost: the twins have ended; their state is on disk"):
             twins.check()
         with pytest.raises(SkillFailed, match="the twins have ended"):
             twins.remove()

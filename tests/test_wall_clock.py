@@ -90,5 +90,5 @@ def test_a_run_before_the_ledgers_last_line_says_so_in_its_journal(
         patch.setattr(clock, "datetime", Later)
         Ledger(tmp_path).add("before", "ended", 1, "0" * 64, durable=False)
     ran = dry_run(tmp_path, DOSE)
-    assert any("earlier than the last that this lab has written down" in said for said in troubles(ran.journal))
+    assert any("earlier than the last time that this lab has recorded" in said for said in troubles(ran.journal))
     assert any("earlier than the last" in said for said in ran.session.warnings)

@@ -348,7 +348,7 @@ def test_a_mortar_that_would_do_nowhere_is_named_though_another_would_somewhere(
     with_two_mortars(lab)
     strokes_where(monkeypatch, lambda station, at_mm: station == "mortar_bay" and at_mm[station][0] < 200.0)
     (message,) = blocked(lab)
-    assert "'mortar_bay_2' may be at none of the places that were tried, nor on stands" in message
+    assert "none of the places that were tried, nor stands, suits 'mortar_bay_2'" in message
     assert "With" not in message
 
 

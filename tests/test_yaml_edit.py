@@ -59,5 +59,5 @@ def test_several_values_and_the_last_line_without_an_end() -> None:
 
 
 def test_what_is_no_mapping_is_not_gone_into() -> None:
-    with pytest.raises(ValueError, match=r"'hand.port' is no mapping"):
+    with pytest.raises(ValueError, match=r"'hand.port' is not a mapping"):
         edited(TEXT, {("hand", "port", "name"): "x"})

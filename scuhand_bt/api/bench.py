@@ -64,7 +64,7 @@ def folder_of_cell(cell: Path) -> Path:
     """The lab whose `robot/cell.yaml` this is. Raises ValueError for any other file."""
     folder = cell.absolute().parent.parent
     if folder / CELL_FILE != cell.absolute():
-        raise ValueError(f"'{cell}' is no lab's {CELL_FILE}")
+        raise ValueError(f"'{cell}' is not the {CELL_FILE} of a lab")
     return folder
 
 

@@ -96,7 +96,7 @@ def resume(
     its = run if isinstance(run, PastRun) else find_run(run, lab)
     with take_up(its, accept_changes=accept_changes) as found:
         if operator is None and found.is_on_the_cell:
-            raise ValueError("a run on the cell has a person's name: say who is there, as `operator`")
+            raise ValueError("a run on the cell needs a person's name: give it as `operator`")
         person = person_of(its.state, operator, pin) if operator is not None else None
         return ran(found.prepare(person=person, may_torque=may_torque, control=control), on_sample, on_event)
 

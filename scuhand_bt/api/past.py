@@ -208,7 +208,7 @@ class PastRun:
 
     def _require_begun(self) -> None:
         if self.is_about_to_begin:
-            what = f"{ABOUT_TO_BEGIN}: there is nothing of it to read yet; look again in some seconds"
+            what = f"{ABOUT_TO_BEGIN}: nothing can be read yet; try again in some seconds"
             raise SourceError([Problem(Mark(str(self.path)), what)])
 
     def _heard(self, say: Callable[[], str | None]) -> None:

@@ -32,11 +32,11 @@ NEWEST = 50
 
 @app.command()
 def runs(
-    every: Annotated[bool, typer.Option("--all", help=f"All of them, not only the newest {NEWEST}.")] = False,
+    every: Annotated[bool, typer.Option("--all", help=f"Show all of them, not only the newest {NEWEST}.")] = False,
     as_json: JsonFlag = False,
     lab: LabOption = None,
 ) -> None:
-    """List the lab's runs, the newest first: what each was, in what state it is, and how many samples are good."""
+    """List the lab's runs, the newest first, with the state and the number of good samples of each."""
     from scuhand_bt import api
 
     found = api.runs(lab)
@@ -59,12 +59,12 @@ def runs(
 def show(
     run: JournalArgument,
     frames: Annotated[
-        str | None, typer.Option(metavar="SAMPLE", help="Only the balance's own lines while it weighed for a sample.")
+        str | None, typer.Option(metavar="SAMPLE", help="Show only the balance's own lines of one sample.")
     ] = None,
     as_json: JsonFlag = False,
     lab: LabOption = None,
 ) -> None:
-    """Tell what happened in a run: every action, dose, question, pause and fault, and whether its journal is whole."""
+    """Show what happened in a run: every action, dose, question, pause and fault, and whether its journal is whole."""
     from scuhand_bt.api import find_run
 
     its = find_run(run, lab)
@@ -128,12 +128,12 @@ def export(
     from scuhand_bt.report import weighing_lines
 
     if as_csv == as_json:
-        raise typer.BadParameter("one of them says what to write", param_hint="--csv/--json")
+        raise typer.BadParameter("choose one of them", param_hint="--csv/--json")
     if output is not None:
         of_kind(output, ".csv" if as_csv else ".json")
     with find_run(run, lab).opened() as contents:
         if (problem := contents.verified.problem) is not None:
-            err.print(Text(f"Nothing is exported from a journal that is not as it was written: {problem}."))
+            err.print(Text(f"Nothing was exported: the journal is not as it was written: {problem}."))
             raise typer.Exit(EXIT_ALTERED)
         parts = weighing_lines(contents) if as_csv else canonical_parts(contents)
         if output is None:

@@ -23,7 +23,7 @@ WORDS: Mapping[str, tuple[str, str]] = {
     "lag_s": ("half its delay, by doses", "s"),
     "lag_doubt": ("doubt of that", "%"),
     "filter": ("its filter, by doses", ""),
-    "filter_misfit": ("what that is off by, of what it has yet to show", "%"),
+    "filter_misfit": ("error of that filter, of what is yet to be shown", "%"),
     "noise_in_doses_mg": ("noise of a reading, by doses", "mg"),
     "shaken_noise_in_doses_mg": ("the same while it is shaken", "mg"),
 }
@@ -63,7 +63,7 @@ def balance(
     for name, learnt in state.balances(simulated=simulated).items():
         if learnt.is_older_than(BALANCE_BELIEVED_FOR, datetime.now().astimezone()):
             days = f"more than {BALANCE_BELIEVED_FOR.days} days ago"
-            out.print(Text(f"{name}: doses taught its delay {days}; the next dose learns it anew."))
+            out.print(Text(f"{name}: its delay was learnt from doses {days}; the next dose learns it again."))
 
 
 def _told(value: float | str, unit: str) -> str:
@@ -74,7 +74,7 @@ def _told(value: float | str, unit: str) -> str:
 
 @group.command("forget")
 def forget(context: typer.Context, lab: LabOption = None) -> None:
-    """Forget what was measured of the balance, and learnt of it by doses: it was repaired, moved or set otherwise."""
+    """Forget what was measured and learnt of the balance: use it after a repair, a move or new settings."""
     from scuhand_bt.api import OpenLab
     from scuhand_bt.api.books import take_cell
 

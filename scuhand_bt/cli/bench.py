@@ -37,7 +37,7 @@ def twins(
         list[str] | None,
         typer.Argument(
             metavar="[RECIPE | WORDS]",
-            help="A recipe, whose powders are in the mortars; or what a person does at twins that run.",
+            help="A recipe, whose powders are in the mortars; or what a person does at running twins.",
             show_default=False,
         ),
     ] = None,
@@ -48,12 +48,12 @@ def twins(
     faults: FaultsOption = None,
     at: Annotated[
         Path | None,
-        typer.Option("--at", help="The folder of their world and ports; else the lab's .scuhand/twins."),
+        typer.Option("--at", help="The folder of their world and ports; default: the lab's .scuhand/twins."),
     ] = None,
-    new: Annotated[bool, typer.Option("--new", help="Begin a new world, though one is there.")] = False,
+    new: Annotated[bool, typer.Option("--new", help="Begin a new world, even if there is one.")] = False,
     of_run: Annotated[bool, typer.Option("--of-run", hidden=True)] = False,
 ) -> None:
-    """Keep twins of the cell's devices, on ports that any program can open, until Ctrl-C; their world is on disk.
+    """Run twins of the cell's devices until Ctrl-C, on ports that any program can open. Their world is kept on disk.
 
     From another terminal, or in lines here, they are told what a person does at the cell: `scuhand-bt twins place
     xrd_holder a`, `… remove`, `… refill beads 5 g`, `… look`, `… end`.
@@ -74,7 +74,7 @@ def twins(
         process = make_twins(loaded, sources, at=at, seed=seed, plant=plant, faults=wrong, is_new=new, of_run=of_run)
         with unwatched(), on_signals(process.end), process:  # their world goes on, whoever reads what is told of it
             spec = process.bench.spec
-            again = "; they go on where they were" if process.goes_on else ""
+            again = "; they continue where they stopped" if process.goes_on else ""
             out.print(Text(f"Twins of the cell '{spec.cell}', SIMULATED (seed {seed}){again}. Ctrl-C ends them."))
             for device in spec.device_names:
                 section = spec.section(device)
@@ -106,11 +106,13 @@ def _obey_lines(twins: "TwinsProcess") -> None:
 @app.command()
 def doctor(
     lab: LabOption = None,
-    twins: Annotated[bool, typer.Option("--twins", help="Look at twins of the devices instead.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="The cone is empty: valve and motor may move.")] = False,
+    twins: Annotated[bool, typer.Option("--twins", help="Check twins of the devices instead.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Confirm that the cone is empty: valve and motor may move.")
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Look at every device of the cell, and say what is wrong and what to do."""
+    """Check every device of the cell, and say what is wrong and what to do."""
 
     from scuhand_bt.api import NoCompiler, PlantError
     from scuhand_bt.api.bench import examine
@@ -149,7 +151,9 @@ def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
 
     if cell is not None:
         if folder is not None:
-            raise typer.BadParameter("name the lab by its folder or by its cell's file", param_hint="--cell/--lab")
+            raise typer.BadParameter(
+                "name the lab by its folder or by its cell's file, not by both", param_hint="--cell/--lab"
+            )
         try:
             folder = folder_of_cell(cell)
         except ValueError as error:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 @app.command()
 def check(
     recipe: Annotated[Path | None, typer.Argument(help="A recipe file (YAML); without one, the lab itself.")] = None,
-    fast: Annotated[bool, typer.Option("--fast", help="Leave out the planning of the arm's ways.")] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Let warnings count as errors.")] = False,
+    fast: Annotated[bool, typer.Option("--fast", help="Do not plan the arm's paths.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Count warnings as errors.")] = False,
     lab: LabOption = None,
     as_json: JsonFlag = False,
 ) -> None:

@@ -28,7 +28,7 @@ class AtTerminal:
             answer = self._said(f"{question} [{'/'.join(choices)}]")
             if answer in choices:
                 return answer
-            self.tell(f"'{answer}' is no answer; there are: {', '.join(choices)}")
+            self.tell(f"'{answer}' is not an answer; the answers are: {', '.join(choices)}")
 
     def measure(self, question: str) -> float:
         while True:
@@ -39,7 +39,7 @@ class AtTerminal:
                 value = math.nan
             if 0.0 <= value < math.inf:
                 return value
-            self.tell(f"'{answer}' is no number; there is, for example: 88.5")
+            self.tell(f"'{answer}' is not a number, such as 88.5")
 
     @staticmethod
     def _said(prompt: str) -> str:
@@ -88,14 +88,16 @@ def _list(record: "Record", lab: "Lab", *, as_json: bool) -> None:
 def commission(
     step: Annotated[
         str | None,
-        typer.Argument(help="A step, to do it (again); else the first that is to be done.", show_default=False),
+        typer.Argument(
+            help="The step to do, or to do again; default: the first one that is not done.", show_default=False
+        ),
     ] = None,
-    listed: Annotated[bool, typer.Option("--list", help="Show the steps, and when who has done them.")] = False,
+    listed: Annotated[bool, typer.Option("--list", help="Show the steps, who has done them, and when.")] = False,
     operator: OperatorOption = None,
     lab: LabOption = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Lead through a new cell to its first dose, step by step; it may be left and taken up again at any time."""
+    """Set up a new cell step by step, up to its first dose. You may stop at any time and continue later."""
     from scuhand_bt.api import OpenLab, SkillFailed
     from scuhand_bt.commissioning import STEPS, Left, NotFound, Record, Site, carry_out, next_step, on_twins
 
@@ -116,7 +118,7 @@ def commission(
     try:
         simulated = on_twins(loaded.cell)
         if simulated:
-            out.print("TWINS: nothing of what is found here is believed of a real cell.")
+            out.print("TWINS: nothing that is measured here is used for a real cell.")
         while (now := chosen or next_step(Record(state).last(simulated=simulated), loaded.cell)) is not None:
             out.print(Text(f"{now.name}: {now.summary}", style="bold"))
             site = Site(loaded, AtTerminal(), state, who, simulated)
@@ -127,7 +129,7 @@ def commission(
         else:
             out.print("All steps are done; `scuhand-bt doctor` looks at the cell.")
     except Left:
-        out.print("Left here. `scuhand-bt commission` goes on.")
+        out.print("Stopped here. `scuhand-bt commission` continues.")
         raise typer.Exit(ExitCode.INTERRUPTED) from None
     except NotFound as error:
         err.print(Text(f"{error}."), soft_wrap=True)

@@ -39,8 +39,10 @@ def skills(name: NameArgument = None, lab: LabOption = None) -> None:
 @app.command()
 def trees(
     name: NameArgument = None,
-    bt_xml: Annotated[bool, typer.Option("--bt-xml", help="As BehaviorTree.CPP 4 and Groot2 read it.")] = False,
-    svg: Annotated[bool, typer.Option("--svg", help="As a picture.")] = False,
+    bt_xml: Annotated[
+        bool, typer.Option("--bt-xml", help="Write it as BehaviorTree.CPP 4 and Groot2 read it.")
+    ] = False,
+    svg: Annotated[bool, typer.Option("--svg", help="Draw it as a picture (SVG).")] = False,
     from_xml: Annotated[
         Path | None, typer.Option("--from-xml", help="Show the workflows of such an XML file as this lab writes them.")
     ] = None,

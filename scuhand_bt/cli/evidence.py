@@ -35,7 +35,7 @@ def verify(
     as_json: JsonFlag = False,
     lab: LabOption = None,
 ) -> None:
-    """Find out whether a journal is as it was written, and say what of that is proven, and what is not."""
+    """Check whether a journal was altered, and say what is proven of that and what is not."""
     from scuhand_bt.api import find_run
     from scuhand_bt.api.books import Ledger, LedgerFound
     from scuhand_bt.report import NO_CHAIN, proof_of
@@ -73,7 +73,7 @@ def ledger(
     as_json: JsonFlag = False,
     lab: LabOption = None,
 ) -> None:
-    """Show the lab's ledger, which has the heads of all runs, and whether it is as it was written: note its head."""
+    """Show the lab's ledger, with the heads of all runs, and check whether it was altered: note its head."""
     from scuhand_bt.api import find_state
     from scuhand_bt.api.books import KEY_VARIABLE, Ledger
 
@@ -86,7 +86,7 @@ def ledger(
     found = Ledger(find_state(lab)).verified()
     problem = found.problem
     if problem is None and head is not None and not found.holds(head):
-        problem = f"it never had the head {head}: it was written anew, or is another lab's"
+        problem = f"it never had the head {head}: it was rewritten, or belongs to another lab"
     wrong = next((one.line.number for one in found.kept if one.line.key is not None and not one.is_signed), None)
     if problem is None and wrong is not None:
         problem = f"line {wrong} was not signed with the key that it names"
@@ -105,18 +105,18 @@ def ledger(
     if not as_json:
         out.print(f"{counted(len(found.kept), 'line')}, each fits the one before it. Head of the ledger: {found.head}")
         if head is not None:
-            out.print("It has had the head that you noted: nothing before that was altered since.")
+            out.print("It contains the head that you noted: nothing before that was altered.")
 
 
 @app.command()
 def audit(
     run: Annotated[
-        str | None, typer.Argument(help="A run, as for `show`; the lab's own records without.", show_default=False)
+        str | None, typer.Argument(help="A run, as for `show`; default: the lab's own records.", show_default=False)
     ] = None,
     as_json: JsonFlag = False,
     lab: LabOption = None,
 ) -> None:
-    """The audit trail of a run, or of the lab's own records: who did what, when, and why."""
+    """Show the audit trail of a run, or of the lab's own records: who did what, when, and why."""
     from scuhand_bt.api import OpenLab, find_run
     from scuhand_bt.api.books import Inventory, Persons
     from scuhand_bt.report import deeds_in_lab, deeds_of_run
@@ -136,7 +136,7 @@ def audit(
         for deed in deeds:
             cells = (deed.at, deed.who, deed.what, deed.why, "" if deed.entry is None else str(deed.entry))
             table.add_row(*map(Text, cells))
-        out.print(table if deeds else "Nobody has done anything yet that is kept here.")
+        out.print(table if deeds else "There are no records yet.")
     if problem is not None:
         err.print(Text(f"The journal is not as it was written: {problem}."))
         raise typer.Exit(EXIT_ALTERED)
@@ -148,7 +148,7 @@ def _digits(text: str | None, option: str) -> str | None:
         return None
     if re.fullmatch("[0-9a-f]{64}", digits := text.strip().lower()):
         return digits
-    raise typer.BadParameter("it is 64 hexadecimal digits", param_hint=option)
+    raise typer.BadParameter("it must have 64 hexadecimal digits", param_hint=option)
 
 
 def _made(path: Path) -> str:

@@ -22,7 +22,7 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
     try:
         library = the_lab(lab).library
     except SourceError as error:  # the shared catalogue is explained all the same
-        err.print(Text(f"Without what this lab's skills add, as it cannot be read: {error.problems[0]}"))
+        err.print(Text(f"This lab cannot be read, so the codes of its own skills are missing: {error.problems[0]}"))
     if code is not None and code in FINDINGS:
         finding = FINDINGS[code]
         if as_json:
@@ -55,19 +55,19 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
         if failure.retried_by:
             out.print(f"Tried again by the workflows: {', '.join(failure.retried_by)}.")
         if not failure.on_failure:
-            out.print("No `on_failure` is asked: it ends the run, or is told of a sample whose job is over.")
+            out.print("`on_failure` does not apply: it ends the run, or concerns a sample whose job is over.")
             return
-        out.print(f"In a recipe's `on_failure: {{{code}: …}}`, for the sample that failed so:")
+        out.print(f"What `on_failure: {{{code}: …}}` in a recipe can do with the failed sample:")
         for action, meaning in ACTIONS.items():
             out.print(f"  {action:12} {meaning}{'  (the default)' if action == failure.on_failure else ''}")
 
 
 @app.command()
 def faults() -> None:
-    """List what can go wrong in a simulated cell, as `--faults FILE` has it (docs/faults.md)."""
+    """List what can go wrong in a simulated cell, as written in a file for `--faults` (docs/faults.md)."""
     from scuhand_bt.api import content
 
-    table = Table("fault", "what happens", "for", "when it may begin, if not told", show_edge=False)
+    table = Table("fault", "what happens", "for", "when it may begin by default", show_edge=False)
     for fault in content.faults():
         table.add_row(fault.name, fault.summary, fault.lasts, fault.begins)
     out.print(table)

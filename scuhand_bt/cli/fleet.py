@@ -34,23 +34,21 @@ SHOWN, MOST_SHOWN = 30, 1_000_000
 @app.command()
 def station(
     name: Annotated[str | None, typer.Option("--name", help="Its name in the queue; default: the cell's.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="A simulated station, for orders of dry runs.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="A simulated station, for dry runs.")] = False,
     unattended: UnattendedFlag = False,
-    resumes: Annotated[
-        bool, typer.Option("--resume", help="Resume by itself, once, a run that was killed; else a person does.")
-    ] = False,
+    resumes: Annotated[bool, typer.Option("--resume", help="Resume a killed run once, without a person.")] = False,
     operator: Annotated[str | None, typer.Option(metavar="NAME", help="Who is at the cell, for its runs.")] = None,
     database: DatabaseOption = "",
     lab: LabOption = None,
 ) -> None:
-    """Take the jobs that the queue has for this cell, one after the other. SIGTERM: none after the one that runs."""
+    """Take the queue's jobs for this cell, one after the other. After SIGTERM it takes no more."""
     _require_fleet()
     from scuhand_bt.fleet import Manner, Station, open_queue
 
     if not dry_run and operator is None:
-        raise typer.BadParameter("a run on the cell has a person's name: say whose", param_hint="--operator")
+        raise typer.BadParameter("a run on the cell needs a person's name", param_hint="--operator")
     if name is not None and not (name.strip() and name.isprintable()):
-        raise typer.BadParameter("a name is of letters that can be seen", param_hint="--name")
+        raise typer.BadParameter("a name must have only visible letters", param_hint="--name")
     folder = the_lab(lab).folder
     if operator is not None:
         _require_unsigned(operator, lab)
@@ -71,13 +69,13 @@ def station(
 def submit(
     recipes: Annotated[list[Path], typer.Argument(help="Recipe files (YAML); each is a job.", show_default=False)],
     dry_run: Annotated[bool, typer.Option("--dry-run", help="For simulated stations.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of the dry runs.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the dry runs.")] = 0,
     at: Annotated[str | None, typer.Option("--station", metavar="NAME", help="Only there.")] = None,
     database: DatabaseOption = "",
     lab: LabOption = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Check recipes, and queue each for a station that has what it needs, or none of them."""
+    """Check recipes, and queue each for a station that has what it needs; if one is refused, none is queued."""
     _require_fleet()
     from scuhand_bt.fleet import choose, open_queue, submission_of
 
@@ -89,7 +87,9 @@ def submit(
             chosen = choose(asked, known, at)
             return await queue.submit(chosen), known, [one.order.stations[0] for one in chosen]
 
-    numbers, known, where = _answered(queue_them(), "whether it was queued is not known: `scuhand-bt queue` tells")
+    numbers, known, where = _answered(
+        queue_them(), "it is not known whether it was queued: look with `scuhand-bt queue`"
+    )
     if as_json:
         print_json([{"job": job, "station": name} for job, name in zip(numbers, where, strict=True)])
         return
@@ -97,17 +97,17 @@ def submit(
     for number, recipe, name in zip(numbers, recipes, where, strict=True):
         out.print(Text(f"job {number}: {recipe} at {name}"), soft_wrap=True)
     for name in dict.fromkeys(name for name in where if name in absent):
-        err.print(Text(f"Note: no station that can do it is there now; {name} has to begin first"))
+        err.print(Text(f"Note: no station that can do it is running now; it waits until {name} begins"))
 
 
 @app.command()
 def queue(
-    every: Annotated[bool, typer.Option("--all", help="Also the jobs that are over.")] = False,
-    most: Annotated[int, typer.Option(min=1, max=MOST_SHOWN, help="So many at the most, the newest ones.")] = SHOWN,
+    every: Annotated[bool, typer.Option("--all", help="Show finished jobs, too.")] = False,
+    most: Annotated[int, typer.Option(min=1, max=MOST_SHOWN, help="Show at most this many, the newest ones.")] = SHOWN,
     database: DatabaseOption = "",
     as_json: JsonFlag = False,
 ) -> None:
-    """List the jobs that are run and those that wait, of each the newest first."""
+    """List the running and the waiting jobs, of each the newest first."""
     _require_fleet()
     from scuhand_bt.fleet import open_queue
 
@@ -140,7 +140,7 @@ def queue(
 def cancel(
     job: Annotated[int, typer.Argument(help="The job's number.", show_default=False)], database: DatabaseOption = ""
 ) -> None:
-    """Take a job out of the queue; one that is run stops after its current sample."""
+    """Take a job out of the queue; a running one stops after its current sample."""
     _require_fleet()
     from scuhand_bt.fleet import HELD_BACK, open_queue
 
@@ -149,9 +149,9 @@ def cancel(
             is_cancelled = await queue.cancel(job)
             return is_cancelled, await queue.at_work_on(job) if is_cancelled else None
 
-    is_cancelled, by = _answered(cancelled(), "whether it was cancelled is not known: `scuhand-bt queue` tells")
+    is_cancelled, by = _answered(cancelled(), "it is not known whether it was cancelled: look with `scuhand-bt queue`")
     if not is_cancelled:
-        err.print(Text(f"job {job} neither waits nor is it run; `scuhand-bt queue --all` lists all"))
+        err.print(Text(f"job {job} is neither waiting nor running; `scuhand-bt queue --all` lists all"))
         raise typer.Exit(ExitCode.BAD_INPUT)
     if by is None:
         said = "is cancelled."
@@ -162,19 +162,19 @@ def cancel(
     else:
         heard = "has ended" if by.has_ended else f"was last heard of {format_duration(by.silent_s)} ago"
         said = (
-            f"is to stop, but '{by.name}', which has taken it, {heard}: its run goes on until that is there again, and "
-            "one that was interrupted is given up then; look at the cell first."
+            f"is to stop, but '{by.name}', which has taken it, {heard}: its run goes on until the station is back, and "
+            "a run that was interrupted is given up then; look at the cell first."
         )
     out.print(Text(f"job {job} {said}"), soft_wrap=True)
 
 
 @app.command()
 def fleet(
-    forget: Annotated[str | None, typer.Option(metavar="NAME", help="Forget a station that is no more.")] = None,
+    forget: Annotated[str | None, typer.Option(metavar="NAME", help="Forget a station that no longer exists.")] = None,
     database: DatabaseOption = "",
     as_json: JsonFlag = False,
 ) -> None:
-    """List the stations: what each does, when it was last heard of, and what it has before it."""
+    """List the stations: what each does, when it was last heard of, and how much work is waiting for it."""
     _require_fleet()
     from scuhand_bt.fleet import ABSENT_S, open_queue
 
@@ -186,9 +186,9 @@ def fleet(
     is_gone, found = _answered(stations())
     if not is_gone:
         known = {one.name: one for one in found}
-        why = "is none of the stations" if forget not in known else "has jobs"
+        why = "is not a station of the queue" if forget not in known else "has jobs"
         if forget in known and known[forget].is_there:
-            why = f"is there, it was heard of in the last {format_duration(ABSENT_S)}: end it first"
+            why = f"is running, it was heard of in the last {format_duration(ABSENT_S)}: end it first"
         raise typer.BadParameter(f"'{forget}' {why}", param_hint="--forget")
     if as_json:
         offers = [one.offer.model_dump(mode="json") if one.offer is not None else None for one in found]
@@ -219,7 +219,7 @@ def _require_unsigned(operator: str, lab: Path | None) -> None:
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--operator") from None
     if name in Persons(find_state(lab)).names():
-        what = f"{name} signs with a PIN, which nobody can be asked for when a job comes: name somebody who has none"
+        what = f"{name} signs with a PIN, which nobody can enter when a job comes: name a person without a PIN"
         raise typer.BadParameter(what, param_hint="--operator")
 
 
@@ -238,7 +238,7 @@ def _answered(asked: "Coroutine[Any, Any, T]", else_: str = "") -> T:
         return asyncio.run(asked)
     except ConnectorException as error:
         why = " ".join(str(error.__cause__ or error).split())
-        what = f"the queue's database went away ({why}); {else_}".removesuffix("; ")
+        what = f"the connection to the queue's database was lost ({why}); {else_}".removesuffix("; ")
         raise SourceError([Problem(Mark("--database", 0), what)]) from None
 
 

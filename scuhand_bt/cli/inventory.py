@@ -38,7 +38,7 @@ def inventory(
         print_json([asdict(entry) for entry in stock.values()])
         return
     if not stock:
-        out.print("Nothing is known yet: a run, or `scuhand-bt inventory set`, tells the inventory.")
+        out.print("Nothing is known yet: runs and `scuhand-bt inventory set` fill the inventory.")
         return
     table = Listing("what", "powder lot", "how much", "says")
     for entry in stock.values():
@@ -55,7 +55,7 @@ def set_entry(
         str,
         typer.Argument(help="A mortar's or vessel's station, cone, sheet, changer, changer/KIND, a container's kind."),
     ],
-    value: Annotated[str, typer.Argument(help="A mass (12 g); of the sheet: fresh, touched; else how many are used.")],
+    value: Annotated[str, typer.Argument(help="A mass (12 g); for the sheet: fresh, touched; else how many are used.")],
     powder: PowderOption = None,
     lot: LotOption = None,
     reason: Annotated[str | None, typer.Option(help="Why it is corrected; `audit` shows it.")] = None,
@@ -76,7 +76,7 @@ def set_entry(
     changer = loaded.cell.changer
     if what == "changer" and changer.kinds and value != "0":
         ways = ", ".join(f"changer/{one}" for one in changer.kinds)
-        raise typer.BadParameter(f"its slots are counted by kind: {ways}; 0 is for all", param_hint="WHAT")
+        raise typer.BadParameter(f"its slots are counted by kind: write {ways}, or 0 for all", param_hint="WHAT")
     if (of_changer := what.removeprefix("changer/")) != what:
         if of_changer not in changer.kinds:
             raise unknown("kind of the changer", of_changer, changer.kinds)
@@ -117,14 +117,14 @@ def _entry(
         if powder is not None or lot is not None:
             raise typer.BadParameter("it holds no powder", param_hint="--powder/--lot")
         if not value.isascii() or not value.isdigit() or len(value) > 9:
-            raise typer.BadParameter(f"'{value}' is no number of what is used; write 0 or more", param_hint="VALUE")
+            raise typer.BadParameter(f"'{value}' is not a number of what is used; write 0 or more", param_hint="VALUE")
         return StockEntry(kind, name, used=int(value))
     if known is not None and powder in (None, known.powder):
         powder, lot = known.powder, known.lot if lot is None else lot
     powder, lot = powder or "", lot or ""
     if kind == "sheet":
         if value not in ("fresh", "touched"):
-            raise typer.BadParameter(f"'{value}' is nothing a sheet can be; fresh or touched", param_hint="VALUE")
+            raise typer.BadParameter(f"'{value}' is not a state of a sheet; write fresh or touched", param_hint="VALUE")
         used = known.used if known is not None else None
         if value == "fresh":
             return StockEntry(kind, used=(used or 0) + 1)
@@ -144,7 +144,7 @@ def _mass_mg(text: str) -> float:
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="VALUE") from None
     if mass_mg < 0:
-        raise typer.BadParameter(f"'{text}' is less than nothing", param_hint="VALUE")
+        raise typer.BadParameter(f"'{text}' is less than 0", param_hint="VALUE")
     return mass_mg
 
 

@@ -31,7 +31,7 @@ def restore(
     archive: Annotated[Path, typer.Argument(help="A file that `backup` wrote.", show_default=False)],
     folder: Annotated[Path, typer.Argument(help="The folder to make; it must not be there yet.", show_default=False)],
 ) -> None:
-    """Make a lab anew from a backup, and find out whether every journal in it is as it was written."""
+    """Restore a lab from a backup, and check whether any journal in it was altered."""
     from scuhand_bt.api import PastRun, find_state
     from scuhand_bt.api.books import Ledger
     from scuhand_bt.report import restore
@@ -48,14 +48,14 @@ def restore(
         wrong.append(f"the lab's ledger: {problem}")
     out.print(Text(f"{folder}: restored, with {counted(len(journals), 'run')}."), soft_wrap=True)
     for what in wrong:
-        err.print(Text(f"Not as it was written, and copied as it was: {what}."))
+        err.print(Text(f"Copied unchanged, though not as it was written: {what}."))
     if wrong:
         raise typer.Exit(ExitCode.CELL_FAULT)
 
 
 @app.command()
 def vacuum(lab: LabOption = None) -> None:
-    """Make one file of every run that was killed, and whose last entries are in a log beside its journal."""
+    """Put the last entries of killed runs, which are in a log beside the journal, into the journal itself."""
     from scuhand_bt.api import NotHeard, PastRun, find_state
 
     count = 0
@@ -63,5 +63,5 @@ def vacuum(lab: LabOption = None) -> None:
         try:
             count += its.make_one_file()
         except NotHeard:
-            out.print(Text(f"{its.id} goes on, and is left alone."))
+            out.print(Text(f"{its.id} is still running, and was skipped."))
     out.print(f"{count} {'journal is' if count == 1 else 'journals are'} one file now; the others were.")

@@ -30,7 +30,7 @@ def reach(
 ) -> None:
     """Draw where the upright cone can be put, over the cell and its stations (HTML; needs the extra `plot`).
 
-    With --task scoop: tell in which directions the arm can make the strokes of a run through each mortar, and what is
+    With --task scoop: say in which directions the arm can make the strokes of a run through each mortar, and what is
     in the way.
     """
     if task == "scoop":
@@ -39,7 +39,7 @@ def reach(
         _tell_directions(the_lab(lab), powder)
         return
     if powder is not None:
-        raise typer.BadParameter("'--powder' is for '--task scoop': the upright cone's map is of none")
+        raise typer.BadParameter("'--powder' is only for '--task scoop'")
     path = of_kind(output or Path("reach.html"), *PAGES)
     loaded = the_lab(lab)
 
@@ -78,7 +78,7 @@ def show_move(
         if name not in loaded.cell.stations:
             raise unknown("station", name, loaded.cell.stations)
     if (load is None) != (powder is None):
-        raise typer.BadParameter("--load and --powder belong together: how much, and of what")
+        raise typer.BadParameter("give both --load and --powder, or neither")
     try:
         load_mg = parse(load, MASS) if load is not None else None
         gentle_deg = parse(gentle, ANGLE) if gentle is not None else None

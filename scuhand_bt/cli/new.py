@@ -8,7 +8,7 @@ from rich.text import Text
 
 from scuhand_bt.cli.shared import app, out
 
-group = typer.Typer(no_args_is_help=True, help="Write something new, to be made yours.")
+group = typer.Typer(no_args_is_help=True, help="Write templates to make your own.")
 app.add_typer(group, name="new")
 
 
@@ -27,4 +27,4 @@ def device(
     for path in written:
         out.print(Text(str(path)))
     test = next(path for path in written if path.name.startswith("test_"))
-    out.print(Text(f"It passes its test as it is: python -m pytest {test}. Now make it speak your device's lines."))
+    out.print(Text(f"It passes its test as it is: python -m pytest {test}. Now change it to your device's protocol."))

@@ -43,14 +43,16 @@ if TYPE_CHECKING:
 ByOption = Annotated[
     str | None, typer.Option("--operator", metavar="NAME", help="Who you are; default: the computer's user.")
 ]
-NowFlag = Annotated[bool, typer.Option("--now", help="Halt what is at work: valve closed, vibration off, arm stopped.")]
+NowFlag = Annotated[
+    bool, typer.Option("--now", help="Halt running actions at once: valve closed, vibration off, arm stopped.")
+]
 
 
 @app.command()
 def resume(
     run: RunArgument,
     accept_changes: Annotated[
-        bool, typer.Option("--accept-changes", help="Go on though recipe, lab or program have changed; it is noted.")
+        bool, typer.Option("--accept-changes", help="Resume even if recipe, lab or program have changed; it is noted.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Go on without asking.")] = False,
     operator: OperatorOption = None,
@@ -117,7 +119,7 @@ def answer(
     as_json: JsonFlag = False,
     lab: LabOption = None,
 ) -> None:
-    """Answer the question that a run waits with, from anywhere on its computer; without ANSWER, show it.
+    """Answer the question that a run is waiting on, from anywhere on its computer; without ANSWER, show it.
 
     The first answer counts. Who gave it is in the run's journal.
     """

@@ -18,9 +18,7 @@ TRIES = 3
 
 @app.command()
 def person(
-    name: Annotated[
-        str | None, typer.Argument(help="Who is to sign with a PIN from now on.", show_default=False)
-    ] = None,
+    name: Annotated[str | None, typer.Argument(help="Who signs with a PIN from now on.", show_default=False)] = None,
     lab: LabOption = None,
 ) -> None:
     """Give a person a PIN to sign with, or a new one; without a name, list who has one."""
@@ -51,7 +49,9 @@ def the_person(given: str | None, folder: Path, *, is_asked: bool) -> "Person | 
 
     if given is None and is_asked:
         if not sys.stdin.isatty():
-            raise typer.BadParameter("a run on the cell has a person's name: say who runs it", param_hint="--operator")
+            raise typer.BadParameter(
+                "a run on the cell needs the name of the person who runs it", param_hint="--operator"
+            )
         given = typer.prompt("Who are you")
     if given is None:
         return None
@@ -68,9 +68,7 @@ def the_person(given: str | None, folder: Path, *, is_asked: bool) -> "Person | 
 
 def _prove(persons: "Persons", name: str) -> None:
     if not sys.stdin.isatty():
-        raise typer.BadParameter(
-            f"{name} signs with a PIN, which nobody can be asked for here", param_hint="--operator"
-        )
+        raise typer.BadParameter(f"{name} signs with a PIN, which cannot be asked for here", param_hint="--operator")
     for _ in range(TRIES):
         if persons.is_pin(name, typer.prompt(f"PIN of {name}", hide_input=True)):
             return

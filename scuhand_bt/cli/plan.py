@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from scuhand_bt.api import Lab, Plan, Sample
     from scuhand_bt.study import Night, Odds, Setup, Trial
 
-NO_NIGHT = "; what a night holds is not told by these"
+NO_NIGHT = "; nothing is said about the night"
 
 
 @app.command()
 def plan(
     recipe: RecipeArgument,
     trials: Annotated[
-        int, typer.Option(min=0, max=MOST_TRIALS, help="Dry runs to tell the odds by; with 0 there are none.")
+        int, typer.Option(min=0, max=MOST_TRIALS, help="Number of dry runs that estimate the odds; 0 for none.")
     ] = 4,
     workers: WorkersOption = None,
     night: Annotated[
-        str | None, typer.Option(metavar="20:00-08:00", help="Say what is done in hours in which nobody comes.")
+        str | None, typer.Option(metavar="20:00-08:00", help="Show what is done in these hours, in which nobody comes.")
     ] = None,
     html: Annotated[
         Path | None, typer.Option("--html", help="Write it as a page, with the arm's motions (extra `report`).")
@@ -57,7 +57,7 @@ def plan(
     if html is not None:
         of_kind(html, *PAGES, option="--html")
         if not trials:
-            raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
+            raise typer.BadParameter("a page needs at least one dry run", param_hint="--trials")
         require_can_write(html, "jinja2", extra="report")
     made, opened = the_plan(recipe, lab)
     loaded = opened.lab
@@ -115,8 +115,8 @@ def plan(
         for line in _of_persons(made, loaded, odds, hours, tried):
             out.print(Text(line), soft_wrap=True)
     if is_broken_off:
-        had = f"{len(ended)} of {trials} dry runs had ended, the quickest first: others may take longer"
-        told = had if ended else "no dry run had ended; with fewer --trials one ends sooner"
+        had = f"{len(ended)} of {trials} dry runs had ended; these are the quickest, and others may take longer"
+        told = had if ended else "no dry run had ended, so there are no odds; try fewer --trials"
         err.print(Text(f"Interrupted: {told}{NO_NIGHT if night is not None else ''}."), soft_wrap=True)
         raise typer.Exit(ExitCode.INTERRUPTED)
 
@@ -155,7 +155,7 @@ def _night(text: str, trials: int) -> "Night":
     from scuhand_bt.study import FEWEST, read_night
 
     if trials < FEWEST:  # they do not tell how much runs differ, and their times were taken for certain
-        raise typer.BadParameter(f"what a night holds is told by dry runs: at least {FEWEST}", param_hint="--trials")
+        raise typer.BadParameter(f"--night needs at least {FEWEST} dry runs", param_hint="--trials")
     return read_night(text)
 
 

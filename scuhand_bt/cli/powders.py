@@ -67,7 +67,7 @@ def powders(context: typer.Context, lab: LabOption = None, as_json: JsonFlag = F
     if learnt:
         origins = Listing("powder lot", "learnt", "at")
         for name, one, is_old in learnt:
-            old = f", more than {FLOW_BELIEVED_FOR.days} days ago: a first guess again" if is_old else ""
+            old = f", more than {FLOW_BELIEVED_FOR.days} days ago: only a first guess again" if is_old else ""
             origins.add_row(Text(name), Text(one.origin), f"{one.at}{old}")
         out.print("", origins, sep="\n")
     if scoops:
@@ -84,7 +84,7 @@ def forget(
     name: Annotated[str, typer.Argument(help="A powder, for all of its lots, or POWDER/LOT.", show_default=False)],
     lab: LabOption = None,
 ) -> None:
-    """Forget what real doses have taught of a powder lot: it was dried, sieved, or is another than it is called."""
+    """Forget what was learnt of a powder lot by real doses: use it if the lot was dried, sieved or mixed up."""
     from scuhand_bt.api import OpenLab
     from scuhand_bt.api.books import take_cell
 

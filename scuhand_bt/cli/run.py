@@ -39,23 +39,23 @@ if TYPE_CHECKING:
 HowMuch = Literal["quiet", "lines", "verbose", "picture"]
 """What is told of a run while it goes on: nothing, a line for each sample, for each action, or a picture that stays."""
 DashboardFlag = Annotated[
-    bool, typer.Option("--dashboard", help="Show the run on a page, too, as long as it goes on (extra `serve`).")
+    bool, typer.Option("--dashboard", help="Also show the run on a web page while it goes on (extra `serve`).")
 ]
 GrootOption = Annotated[
     int | None,
     typer.Option(
-        "--groot", metavar="PORT", min=1, max=65535, help="Show the tree in Groot2 or btview, too (extra `groot`)."
+        "--groot", metavar="PORT", min=1, max=65535, help="Also show the tree in Groot2 or btview (extra `groot`)."
     ),
 ]
 EventsOption = Annotated[
     str | None,
-    typer.Option("--events", metavar="FILE", help="Write all that happens as lines of JSON; - is the standard output."),
+    typer.Option("--events", metavar="FILE", help="Write all that happens as lines of JSON; - for standard output."),
 ]
-QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Tell only what it came to.")]
+QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Show only the result.")]
 SLOWEST = 0.05
 """Of a cell's speeds: below, a move would last minutes."""
 ExportOption = Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")]
-VerboseFlag = Annotated[bool, typer.Option("--verbose", help="Tell every action, line by line.")]
+VerboseFlag = Annotated[bool, typer.Option("--verbose", help="Show every action, line by line.")]
 
 
 @app.command()
@@ -66,9 +66,11 @@ def run(
         bool, typer.Option("--rehearse", help="Run in real time with the real drivers, against twins.")
     ] = False,
     seed: SeedOption = 0,
-    speed: Annotated[float | None, typer.Option(help="Watch a dry run at so many times real time.")] = None,
+    speed: Annotated[float | None, typer.Option(help="Show a dry run at this many times real time.")] = None,
     controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
-    plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
+    plant: Annotated[
+        str | None, typer.Option(help="Simulated physics to use instead of the built-in ones: module:Class.")
+    ] = None,
     faults: FaultsOption = None,
     unattended: UnattendedFlag = False,
     asks: Annotated[
@@ -76,7 +78,8 @@ def run(
     ] = False,
     step: Annotated[bool, typer.Option("--step", help="Ask before each action: single step.")] = False,
     slow: Annotated[
-        str | None, typer.Option("--slow", metavar="20%", help="Arm, roller and changer at a share of their speeds.")
+        str | None,
+        typer.Option("--slow", metavar="20%", help="Run arm, roller and changer at this share of their speeds."),
     ] = None,
     operator: OperatorOption = None,
     dashboard: DashboardFlag = False,
@@ -94,13 +97,13 @@ def run(
     if speed is not None and not 0 < speed < float("inf"):
         raise typer.BadParameter("must be more than 0", param_hint="--speed")
     if dry_run and rehearse:
-        raise typer.BadParameter("a run is a dry run or a rehearsal", param_hint="--dry-run/--rehearse")
+        raise typer.BadParameter("a run cannot be both; choose one", param_hint="--dry-run/--rehearse")
     if speed is not None and not dry_run:
         raise typer.BadParameter("only a dry run has a speed", param_hint="--speed")
     if plant is not None and not (dry_run or rehearse):
         raise typer.BadParameter("only a dry run or a rehearsal has simulated physics", param_hint="--plant")
     if faults is not None and not (dry_run or rehearse):
-        raise typer.BadParameter("only a dry run or a rehearsal has faults at will", param_hint="--faults")
+        raise typer.BadParameter("only a dry run or a rehearsal can have faults by a file", param_hint="--faults")
     if asks and not (dry_run or rehearse):
         raise typer.BadParameter("on the cell a person is asked anyway", param_hint="--ask")
     if asks and unattended:
@@ -158,7 +161,7 @@ def told(events: str | None) -> "Iterator[OnEvent | None]":
 def how_much(*, quiet: bool, verbose: bool) -> HowMuch:
     """What is to be told of a run while it goes on."""
     if quiet and verbose:
-        raise typer.BadParameter("less, or more", param_hint="--quiet/--verbose")
+        raise typer.BadParameter("choose one of them", param_hint="--quiet/--verbose")
     return "quiet" if quiet else "verbose" if verbose else "picture" if out.is_terminal else "lines"
 
 
@@ -283,7 +286,7 @@ def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowM
         moved = f"`mv {kept_in} {path}` brings it back, then " if kept_in != path else ""
         out.print(Text(f"{moved}`scuhand-bt resume {session.run_id}` goes on with it."), soft_wrap=True)
     if kept_in == path and shows != "quiet":
-        what = f"`scuhand-bt report {session.run_id}` writes its report, `scuhand-bt show {session.run_id}` tells all."
+        what = f"`scuhand-bt report {session.run_id}` writes its report, `scuhand-bt show {session.run_id}` shows all."
         out.print(Text(what), soft_wrap=True)
     out.print(Text(f"Journal: {kept_in or 'lost'}"))
     out.print(Text(f"Head of its chain: {session.journal.head}"))
@@ -296,5 +299,5 @@ def _export(session: "Session", result: "BatchResult", json_file: Path) -> None:
     try:
         json_file.write_text(PastRun(session.journal.kept_in or session.journal.path).export(), encoding="utf-8")
     except OSError as error:
-        err.print(Text(f"'{json_file}' cannot be written: {error.strerror}; the journal has it all"))
+        err.print(Text(f"'{json_file}' cannot be written: {error.strerror}; the journal has everything"))
         raise typer.Exit(result.exit_code or ExitCode.BAD_INPUT) from None

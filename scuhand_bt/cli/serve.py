@@ -21,18 +21,18 @@ LONGEST_END_S = 5.0
 @app.command()
 def serve(
     host: Annotated[
-        str, typer.Option(help="The address to listen at; any but this computer's own asks for a token.")
+        str, typer.Option(help="The address to listen at; any other than this computer's own needs a token.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="The port; 0 takes a free one.")] = PORT,
     allow_control: Annotated[
-        bool, typer.Option("--allow-control", help="Let who has the token pause, stop and answer, and not only look.")
+        bool, typer.Option("--allow-control", help="Let whoever has the token pause, stop and answer, not only look.")
     ] = False,
     fresh_token: Annotated[
-        bool, typer.Option("--new-token", help="Make another token; the one before opens nothing any more.")
+        bool, typer.Option("--new-token", help="Make a new token; the old one no longer works.")
     ] = False,
     lab: LabOption = None,
 ) -> None:
-    """Show the lab's runs on a page, now and as they were, until Ctrl-C; a run does not know of it (extra `serve`)."""
+    """Show running and past runs of the lab on a web page until Ctrl-C, without affecting them (extra `serve`)."""
     from scuhand_bt.api import find_state
     from scuhand_bt.dashboard import Access, is_loopback, kept_token, new_token
 
@@ -55,10 +55,12 @@ def serve(
     if shown:
         err.print(Text("This token is shown once, and only its hash is kept; `--new-token` makes another."))
     elif not is_own:
-        err.print(Text("It asks for the token that was shown when it was made; `--new-token` makes another."))
+        err.print(Text("Open it with the token that was shown when it was made; `--new-token` makes another."))
     if not is_own:
         what = "look, pause, stop and answer" if allow_control else "look"
-        err.print(Text(f"Who has the token can {what}. What is sent is not encrypted: only in a network you trust."))
+        err.print(
+            Text(f"Whoever has the token can {what}. Nothing is encrypted: use it only in a network that you trust.")
+        )
     with listener:
         serve_at(listener, folder, access)
 

@@ -45,7 +45,7 @@ MOST_TOLD = 50
 """So many problems are told one by one."""
 PATIENT_S = 3.0
 """Who waits for longer is told what for."""
-GETS_READY = "Getting ready: what is compiled, and how the arm goes, is kept, and takes a moment the next time."
+GETS_READY = "Getting ready: compiled code and the arm's paths are kept, so that the next start takes only a moment."
 EXIT_ALTERED = ExitCode.CELL_FAULT
 """A journal, or the lab's ledger, is not as it was written."""
 
@@ -60,18 +60,18 @@ JournalArgument = Annotated[
     ),
 ]
 LabOption = Annotated[
-    Path | None, typer.Option("--lab", help="The lab's folder; default: the nearest one upward from the recipe.")
+    Path | None, typer.Option("--lab", help="The lab's folder; default: the nearest one above the recipe.")
 ]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness of a simulation.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of a simulation's random numbers.")]
 FaultsOption = Annotated[
-    Path | None, typer.Option("--faults", help="What goes wrong in a simulation, by a file; `faults` lists them all.")
+    Path | None, typer.Option("--faults", help="A file of what goes wrong in a simulation; `faults` lists all faults.")
 ]
 UnattendedFlag = Annotated[
     bool, typer.Option("--unattended", help="Nobody is there: refuse a plan that needs a person, never wait for one.")
 ]
 OperatorOption = Annotated[
     str | None,
-    typer.Option("--operator", metavar="NAME", help="Who is at the cell; a run on the cell asks without it."),
+    typer.Option("--operator", metavar="NAME", help="Who is at the cell; without it a run on the cell asks."),
 ]
 NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standard output.")]
@@ -236,7 +236,7 @@ def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
 def of_kind(path: Path, *suffixes: str, option: str = "--output") -> Path:
     """A file to write that says by its suffix what will be in it. Raises BadParameter for any other suffix."""
     if path.suffix.lower() not in suffixes:
-        raise typer.BadParameter(f"'{path}' is to be a file of this kind: {', '.join(suffixes)}", param_hint=option)
+        raise typer.BadParameter(f"'{path}' must be a file of this kind: {', '.join(suffixes)}", param_hint=option)
     return path
 
 

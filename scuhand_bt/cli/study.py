@@ -42,28 +42,30 @@ MOST_TRIALS = 1_000_000
 @app.command()
 def study(
     recipe: RecipeArgument,
-    trials: Annotated[int, typer.Option(min=1, help="Dry runs, with seeds one after the other; of each draw.")] = 20,
-    first_seed: Annotated[int, typer.Option(min=0, max=10**12, help="The first one's seed.")] = 0,
-    vary: Annotated[Path | None, typer.Option("--vary", help="What to vary, by a file (docs/study.md).")] = None,
+    trials: Annotated[int, typer.Option(min=1, help="Number of dry runs, with consecutive seeds; for each draw.")] = 20,
+    first_seed: Annotated[int, typer.Option(min=0, max=10**12, help="Seed of the first dry run.")] = 0,
+    vary: Annotated[Path | None, typer.Option("--vary", help="A file of what to vary (docs/study.md).")] = None,
     optimise: Annotated[
         int | None,
-        typer.Option(min=2, metavar="CANDIDATES", help="Look for better figures among so many, by what --vary names."),
+        typer.Option(
+            min=2, metavar="CANDIDATES", help="Search this many candidates for better values of what --vary names."
+        ),
     ] = None,
     workers: WorkersOption = None,
     dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Run them on a Dask cluster.")] = None,
     controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
-    plant: Annotated[str | None, typer.Option(help="The same simulated physics in each: module:Class.")] = None,
+    plant: Annotated[str | None, typer.Option(help="Simulated physics of all dry runs: module:Class.")] = None,
     store: Annotated[Path | None, typer.Option("--store", help="Keep trials here, not in the lab's own file.")] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Every sample of every trial, as CSV or Parquet.")
+        Path | None, typer.Option("-o", "--output", help="Write every sample of every trial, as CSV or Parquet.")
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option("--plot", help="Draw what it came to (PNG or SVG; needs the extra `plot`).")
+        Path | None, typer.Option("--plot", help="Draw the results (PNG or SVG; needs the extra `plot`).")
     ] = None,
     lab: LabOption = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Dry-run a recipe many times: its odds, and what they depend on. One that breaks off goes on where it was."""
+    """Dry-run a recipe many times: its odds, and what they depend on. An interrupted study continues where it was."""
     from scuhand_bt.api import check_controller
     from scuhand_bt.report import plot_study
     from scuhand_bt.study import (
@@ -86,11 +88,11 @@ def study(
         if file is not None:
             of_kind(file, *kinds, option=hint)
             if optimise is not None:
-                raise typer.BadParameter("a search proposes figures, and writes nothing else", param_hint=hint)
+                raise typer.BadParameter("a search only proposes values, and writes no file", param_hint=hint)
             needed, extra = ("matplotlib", "plot") if file is plot else ("pyarrow", "study")
             require_can_write(file, *([needed] if file.suffix.lower() != ".csv" else []), extra=extra)
     if dask is not None and workers is not None:
-        raise typer.BadParameter("a Dask cluster has its own", param_hint="--workers")
+        raise typer.BadParameter("a Dask cluster has its own workers", param_hint="--workers")
     check_controller(controller)
     made, opened = the_plan(recipe, lab)
     path, folder = recipe.absolute(), opened.lab.folder.absolute()
@@ -98,11 +100,11 @@ def study(
     setup = Setup(path, folder, controller=controller, plant=plant, files=files, modules=modules)
     varied = read_vary(vary, setup.recipe, setup.lab) if vary is not None else None
     if varied is not None and controller is not None and "recipe.controller" in varied.vary:
-        raise typer.BadParameter("it is what --vary names", param_hint="--controller")
+        raise typer.BadParameter("--vary already names it", param_hint="--controller")
     kept_in = store or opened.state / "studies.sqlite"
     if optimise is not None:
         if varied is None:
-            raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
+            raise typer.BadParameter("name the values to search by --vary FILE", param_hint="--optimise")
         _require_few((optimise + 3) * trials)  # and those as written, and the best, on other seeds
         check_setups([replace(setup, changes=changes) for changes in varied.ends()])
         with _goes_on_later(kept_in), open_store(kept_in, setup) as kept, executor_of(workers, dask, _tell) as executor:
@@ -141,7 +143,7 @@ def study(
 
 def _require_few(many: int) -> None:
     if many > MOST_TRIALS:
-        raise typer.BadParameter(f"these are {many} dry runs, and {MOST_TRIALS} the most", param_hint="--trials")
+        raise typer.BadParameter(f"these are {many} dry runs; at most {MOST_TRIALS} are allowed", param_hint="--trials")
 
 
 def as_they_end(going: "Iterator[tuple[Task, Trial]]", many: int) -> "Iterator[tuple[Task, Trial]]":
@@ -161,7 +163,7 @@ def _goes_on_later(kept_in: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        left = f"The dry runs that have ended are kept in {kept_in}; the same command goes on with the others."
+        left = f"Finished dry runs are kept in {kept_in}; the same command continues with the others."
         err.print(Text(f"Interrupted. {left}"), soft_wrap=True)
         raise typer.Exit(ExitCode.INTERRUPTED) from None
 
@@ -189,22 +191,22 @@ def _propose(
         table.add_row(name, f"{came.good:.1%}", format_duration(came.duration_s))
     out.print(table)
     if found.refused:
-        out.print(f"Of {candidates} candidates {found.refused} are what no recipe or lab may have.")
+        out.print(f"Of {candidates} candidates {found.refused} are not valid in a recipe or lab.")
     if found.proposed.good == 0.0:
         out.print(
-            f"The best of {candidates} candidates brings no sample into tolerance; without --optimise is told why."
+            f"The best of {candidates} candidates brings no sample into tolerance; a study without --optimise says why."
         )
         return
     if not found.is_better:
         out.print(
-            f"Of {candidates} candidates the best is no better than what is written, or by no more than chance makes "
-            "of so many seeds: more `--trials` tell.",
+            f"Of {candidates} candidates the best is not better than the present values, or by no more than chance: "
+            "more `--trials` show a smaller difference.",
             soft_wrap=True,
         )
         return
     for line in diff(setup, found.changes):
         out.print(Text(line), soft_wrap=True)
-    out.print("Nothing was changed: what you want of it, write into the files.")
+    out.print("No file was changed: write what you want to use into the files.")
 
 
 def tell_odds(odds: "Odds") -> None:
@@ -214,9 +216,9 @@ def tell_odds(odds: "Odds") -> None:
     if odds.tells_intervals:
         by = f"{odds.trials} dry runs (intervals of 90 %)"
     elif odds.trials == 1:
-        by = "1 dry run, which tells no interval"
+        by = "1 dry run, too few for an interval"
     else:
-        by = f"{odds.trials} dry runs, which tell no interval (what these had)"
+        by = f"{odds.trials} dry runs, too few for an interval (ranges are of these runs)"
     out.print(f"\nBy {by}: it takes {_range(odds.duration_s, format_duration)}.")
     table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in odds.left), show_edge=False)
     for name, scoops in odds.scoops.items():
@@ -226,7 +228,7 @@ def tell_odds(odds: "Odds") -> None:
         out.print(table)
         out.print(RECKONED, soft_wrap=True)
     if odds.samples:
-        out.print(f"In tolerance: {odds.good:.1f} of {round(odds.asked, 1):g} samples are to be expected.")
+        out.print(f"In tolerance: {odds.good:.1f} of {round(odds.asked, 1):g} samples are expected.")
     alike: dict[Chance, list[str]] = {}
     for name in odds.unlikely:
         alike.setdefault(odds.samples[name], []).append(name)
@@ -287,7 +289,7 @@ def tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
     indices = [values for places in dominant.values() for values in places.values() if "total" in values]
     if any(not -ROUGH <= one["first"] <= one["total"] + ROUGH <= 1.0 + 2.0 * ROUGH for one in indices):
         out.print(
-            "Shares lie between 0 and 1, and the total is no less than the first order: that these do not tells how "
-            "rough they are. More `draws` make them better.",
+            "These shares are rough: some are not between 0 and 1, or a total is less than its first order. More "
+            "`draws` make them better.",
             soft_wrap=True,
         )

@@ -44,7 +44,7 @@ def run_tests(
         seen, every, missed = coverage.of(file.workflow)
         reached, branches = coverage.branches(file.workflow)
         also = f" and {reached} of {branches} branches" if branches else ""
-        out.print(Text(f"  of '{file.workflow}' {seen} of {every} skills{also} were come to"))
+        out.print(Text(f"  '{file.workflow}': {seen} of {every} skills{also} were reached"))
         for path in missed:
             out.print(Text(f"    never: {path}"), soft_wrap=True)
     count = sum(len(file.cases) for file in files)

@@ -18,7 +18,7 @@ LOOKS_PER_S = 4
 
 @app.command()
 def watch(run: RunArgument, lab: LabOption = None) -> None:
-    """Watch a run from another terminal, to its end; the run does not know of it. Ctrl-C ends only the watching."""
+    """Watch a run from another terminal, to its end, without affecting it. Ctrl-C ends only the watching."""
     from scuhand_bt.api import find_run
 
     its = find_run(run, lab)
@@ -31,7 +31,7 @@ def watch(run: RunArgument, lab: LabOption = None) -> None:
     out.print(Text(f"{its.id} ({ended.mode}): {ended.state}{why}; {ended.good} of {ended.total} samples good."))
     can_go_on = ended.state in ("stopped", "fault", "interrupted")
     again = f"`scuhand-bt resume {its.id}` goes on with it, " if can_go_on else ""
-    what = f"{again}`scuhand-bt report {its.id}` writes its report, `scuhand-bt show {its.id}` tells all."
+    what = f"{again}`scuhand-bt report {its.id}` writes its report, `scuhand-bt show {its.id}` shows all."
     out.print(Text(what), soft_wrap=True)
 
 

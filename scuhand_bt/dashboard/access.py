@@ -94,15 +94,15 @@ class Access:
             if not self.is_token(token):
                 return "the dashboard asks for its token: open it as http://…/?token=…"
         elif client is None or server is None or self.user_of(client, server) not in (os.getuid(), 0):
-            return "this dashboard is another user's"
+            return "this dashboard belongs to another user"
         if not changes:
             return None
         if not self.allows_control:
-            return "this dashboard only shows: `--allow-control` lets it do more"
+            return "this dashboard only shows runs: start it with `--allow-control` to control them"
         if headers.get("origin") != f"http://{headers['host']}":
-            return "this was asked for by another page"
+            return "this request came from another page"
         if not hmac.compare_digest(headers.get("x-dashboard", ""), self.word):
-            return "this page is of an earlier dashboard: load it anew"
+            return "this page is from an earlier dashboard: reload it"
         return None
 
     def _is_own_host(self, given: str) -> bool:

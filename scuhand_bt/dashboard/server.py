@@ -132,7 +132,7 @@ def dashboard(folder: Path, access: Access) -> ASGIApp:
         """A run as it goes on, as server-sent events: all there is, and then what changes."""
         path = await run_in_threadpool(journal, run)
         if pages.locked():
-            raise HTTPException(503, "so many pages are open already")
+            raise HTTPException(503, "too many pages are open")
 
         async def telling() -> AsyncIterator[str]:
             async with pages:

@@ -63,13 +63,13 @@ class Note:
                 re.sub(r"[^a-z0-9_.]+", "_", str(self.kind).lower().removeprefix(NOTE_PREFIX)).strip("_.") or "sieved"
             )
             example = f'`cell.record.note("{NOTE_PREFIX}{name}", {{…}})`'
-            raise ValueError(f"{self.kind!r} is no kind that a lab may write: write {example}")
+            raise ValueError(f"{self.kind!r} is not a kind that a lab may write: write {example}")
         try:
             _JSON.validate_python(self.values, strict=True)
         except ValidationError as error:
             wrong = error.errors(include_url=False)[0]
             raise ValueError(
-                f"{shorten(repr(wrong['input']))} among the values of {self.kind!r} is no JSON: write finite numbers, "
+                f"{shorten(repr(wrong['input']))} among the values of {self.kind!r} is not JSON: write finite numbers, "
                 "texts, True, False, None, and lists and dicts (with texts as keys) of these"
             ) from None
 

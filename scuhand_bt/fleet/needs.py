@@ -120,7 +120,11 @@ def missing(needs: Needs, offer: Offer) -> list[str]:
 
 def _missing(needs: Needs, offer: Offer) -> Iterator[str]:
     if needs.simulated != offer.simulated:
-        yield "it is a simulated one" if offer.simulated else "it is a real one, and simulated devices are asked for"
+        yield (
+            "it has only simulated devices"
+            if offer.simulated
+            else "it has real devices, but simulated ones are asked for"
+        )
     for kind, names in needs.names.items():
         for name in names:
             if name not in offer.names.get(kind, ()):
@@ -133,7 +137,7 @@ def _missing(needs: Needs, offer: Offer) -> Iterator[str]:
         yield f"its balance's maximum is {what}"
     if needs.tolerance_mg is not None and needs.tolerance_mg < offer.least_tolerance_mg:
         told = f"{offer.least_tolerance_mg:g} mg, and the recipe's is {needs.tolerance_mg:g} mg"
-        yield f"the narrowest tolerance that its balance can tell is {told}"
+        yield f"the finest tolerance of its balance is {told}"
     if needs.person and offer.unattended:
         yield f"it is unattended, and a person is {needs.person}"
     yield from _changer_lacks(needs, offer)

@@ -58,8 +58,8 @@ def submission_of(plan: Plan, *, simulated: bool, seed: int = 0) -> Submission:
     """A plan to be submitted; no station is chosen yet. SourceError for a table that cannot go with its recipe."""
     recipe = plan.recipe
     if not recipe.path.name.isprintable():
-        what = "a recipe goes to the queue with its file's name, and this one has what cannot be shown or is not UTF-8"
-        raise SourceError([Problem(Mark(str(recipe.path)), f"{what}: give it another one")])
+        what = "its file's name goes to the queue, but has letters that cannot be shown or are not UTF-8"
+        raise SourceError([Problem(Mark(str(recipe.path)), f"{what}: rename the file")])
     names = [recipe.path.name, *_tables(plan)]
     files = {name: base64.b64encode((recipe.path.parent / name).read_bytes()).decode() for name in names}
     order = Order(

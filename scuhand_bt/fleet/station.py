@@ -150,7 +150,7 @@ class Station:
     async def _require_one_name(self) -> None:
         """SourceError where jobs of this station wait under another name: one may hold back all others of this cell."""
         for name in await self._queue.other_names(self.name, _identity(self._orders / "identity")):
-            what = f"this lab's station has jobs as '{name}': begin it with --name '{name}', or cancel those before"
+            what = f"this lab's station has jobs as '{name}': begin it with --name '{name}', or cancel those first"
             raise SourceError([Problem(Mark(str(self._lab), 0), what)])
 
     async def _enrol(self, lab: Lab) -> None:

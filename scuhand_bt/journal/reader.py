@@ -22,7 +22,7 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.store import BESIDE, SCHEMA_VERSION, read_only
 from scuhand_bt.problems import Mark, Problem, SourceError
 
-NONE = "this is no journal of a run"
+NONE = "this is not a run's journal"
 _JSON_COLUMNS = ("inputs", "result", "payload", "state")
 
 
@@ -99,12 +99,12 @@ def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
             finally:
                 database.close()
     except (sqlite3.Error, OSError) as error:
-        raise _problem(path, f"this is no journal of a run, or it is damaged: {error}") from None
+        raise _problem(path, f"this is not a run's journal, or it is damaged: {error}") from None
     except NewerShape as error:
         raise _problem(path, f"a newer scuhand-bt wrote it ({error}): use that one") from None
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        what = f"it holds what no journal does ({type(error).__name__}: {error})"
-        raise _problem(path, f"this is no journal of a run, or it is damaged: {what}") from None
+        what = f"its content is not that of a journal ({type(error).__name__}: {error})"
+        raise _problem(path, f"this is not a run's journal, or it is damaged: {what}") from None
 
 
 @contextmanager

@@ -72,12 +72,14 @@ def write_device(name: str, kind: str, folder: Path) -> list[Path]:
     """
     if kind not in TEMPLATES:
         known = ", ".join(TEMPLATES)
-        what = f"no template makes a device of kind '{kind}'; there are: {known}"
+        what = f"there is no template for a device of kind '{kind}'; known: {known}"
         raise SourceError([Problem(Mark(kind), what, "an arm or a hand is a class with `connect`: docs/devices.md")])
     if re.fullmatch(r"[a-z][a-z0-9_]*", name) is None:
-        raise SourceError([Problem(Mark(name), f"'{name}' is no name of a module", "a small letter, then a-z, 0-9, _")])
+        raise SourceError(
+            [Problem(Mark(name), f"'{name}' is not a name of a module", "a small letter, then a-z, 0-9, _")]
+        )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise SourceError([Problem(Mark(str(folder)), "it is there, and is not empty")])
+        raise SourceError([Problem(Mark(str(folder)), "it exists, and is not empty")])
     title = name.replace("_", " ").title()
     said = {"name": name, "Name": title, "kind": kind}
     module = (files(templates) / f"{TEMPLATES[kind]}.py").read_text(encoding="utf-8")

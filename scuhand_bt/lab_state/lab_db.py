@@ -101,7 +101,7 @@ def _located(path: Path) -> Iterator[None]:
         raise _problem(path, f"the lab's database cannot be used: {error}") from None
     except (sqlite3.DatabaseError, ValueError) as error:  # ValueError: a row that cannot be understood
         what = f"the lab's database is damaged ({type(error).__name__}: {error})"
-        raise _problem(path, f"{what}; move it away, and what was learnt and the inventory begin anew") from None
+        raise _problem(path, f"{what}; move it away; then the inventory and all that was learnt begin anew") from None
     except OSError as error:
         raise _problem(path, f"the lab's database cannot be written: {error.strerror or error}") from None
 

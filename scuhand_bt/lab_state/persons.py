@@ -23,7 +23,7 @@ def person_name(text: str) -> str:
     """A person's name as it is kept. Raises ValueError for none, and for what cannot be read."""
     name = " ".join(unicodedata.normalize("NFC", text).split())
     if not name or len(name) > LONGEST_NAME or harmless(name) != name:
-        raise ValueError(f"a person's name has 1 to {LONGEST_NAME} signs that can be read")
+        raise ValueError(f"a person's name must have 1 to {LONGEST_NAME} visible characters")
     return name
 
 
@@ -46,7 +46,7 @@ class Persons:
         """Let a person sign with this PIN from now on. ValueError for a name that is none, or too short a PIN."""
         name = person_name(name)
         if len(pin) < SHORTEST_PIN:
-            raise ValueError(f"a PIN has {SHORTEST_PIN} signs or more")
+            raise ValueError(f"a PIN must have at least {SHORTEST_PIN} characters")
         salt = secrets.token_bytes(16)
         at = wall_time()
         with writing_lab_db(self._folder) as database:

@@ -40,7 +40,7 @@ def signer_of_file(path: Path) -> Signer:
     except OSError as error:
         raise _problem(path, f"the signing key cannot be read: {error.strerror}") from None
     except ValueError:
-        raise _problem(path, "this is no signing key; `scuhand-bt ledger --new-key FILE` makes one") from None
+        raise _problem(path, "this is not a signing key; `scuhand-bt ledger --new-key FILE` makes one") from None
 
 
 def is_signed_by(key: str, text: str, signature: str) -> bool:

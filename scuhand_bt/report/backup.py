@@ -26,7 +26,7 @@ def back_up(lab: Path, state: Path, archive: Path) -> int:
     """Write a lab and its state into a new archive; how many files. Raises SourceError where that cannot be."""
     for part in FOLDERS:
         if archive.resolve().is_relative_to((lab / part).resolve()):
-            raise _problem(archive, f"the backup would be part of what it copies; write it elsewhere than into {part}/")
+            raise _problem(archive, f"the backup would be part of what it copies; write it outside of {part}/")
     files: dict[str, str] = {}
     new = archive.with_name(f"{archive.name}.new")
     try:
@@ -56,14 +56,14 @@ def restore(archive: Path, folder: Path) -> list[Path]:
     Raises SourceError for an archive that is damaged or none, and for a folder that is there; then nothing is made.
     """
     if folder.exists():
-        raise _problem(folder, "it is there already; a lab is restored into a new folder")
+        raise _problem(folder, "it exists already; a lab is restored into a new folder")
     new = folder.with_name(f"{folder.name}.new")
     try:
         shutil.rmtree(new, ignore_errors=True)
         with zipfile.ZipFile(archive) as stored:
             files = json.loads(stored.read(MANIFEST))["files"]
             if sorted([*files, MANIFEST]) != sorted(stored.namelist()):
-                raise _problem(archive, "its list of files is not that of the files in it")
+                raise _problem(archive, "its list of files does not match the files in it")
             for name, expected in files.items():
                 _write(stored, name, expected, new, archive)
         new.replace(folder)
@@ -89,7 +89,7 @@ def _all_of(lab: Path, state: Path) -> Iterator[tuple[str, Path]]:
 def _write(stored: zipfile.ZipFile, name: str, expected: str, folder: Path, archive: Path) -> None:
     parts = PurePosixPath(name).parts
     if parts[0] not in (*FOLDERS, STATE) or ".." in parts or "\\" in name:
-        raise _problem(archive, f"'{name}' in it is no file of a lab")
+        raise _problem(archive, f"'{name}' in it is not a file of a lab")
     content = stored.read(name)
     if hashlib.sha256(content).hexdigest() != expected:
         raise _problem(archive, f"'{name}' in it is not what was copied")

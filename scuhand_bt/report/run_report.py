@@ -57,7 +57,7 @@ class RunFacts:
         row = next((row for row in self._events if row["kind"] == RunBegun.KIND), None)
         if row is None:
             raise SourceError(
-                [Problem(Mark(str(self.contents.path), 0), "the run had not begun: nothing is to report")]
+                [Problem(Mark(str(self.contents.path), 0), "the run had not begun: there is nothing to report")]
             )
         return RunBegun.model_validate(row["payload"])
 

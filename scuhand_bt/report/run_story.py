@@ -36,7 +36,7 @@ def chain_line(chain: Mapping[str, Any]) -> str:
     if not chain["chained"]:
         return "Chain: none; an older scuhand-bt wrote this journal, and whether it was altered cannot be told."
     if chain["problem"] is not None:
-        return f"Chain: NOT AS IT WAS WRITTEN: {chain['problem']}. Only what stands before is shown."
+        return f"Chain: NOT AS IT WAS WRITTEN: {chain['problem']}. Only what comes before is shown."
     return f"Chain: {chain['entries']} entries, whole; head {chain['head']}"
 
 

@@ -84,13 +84,13 @@ def _carrying_deg(lab: Lab, load_mg: float | None, powder: str | None, gentle_de
     limits_deg = []
     if gentle_deg is not None:
         if gentle_deg <= 0:
-            raise ValueError("--gentle is an angle above zero")
+            raise ValueError("--gentle must be an angle above zero")
         limits_deg.append(gentle_deg)
     if load_mg is not None and powder is not None:
         kind, rim_mm = lab.library.powders[powder], 1000 * CONE_DIAMETER_M
         full_mg = kind.bulk_density_mg_per_mm3 * Cone(rim_mm, lab.cell.hand.sheet_radius_mm).volume_mm3
         if not 0 < load_mg < full_mg:
-            raise ValueError(f"--load is more than nothing and less than the full cone's {full_mg / 1000:.1f} g")
+            raise ValueError(f"--load must be more than nothing and less than the full cone's {full_mg / 1000:.1f} g")
         limits_deg.append(carrying_limit_deg(lab.cell, kind, load_mg, rim_mm))
     return min(limits_deg, default=None)
 

@@ -36,8 +36,8 @@ def _check_weight(lab: Lab, figures: Figures, now: datetime) -> Iterator[Problem
     passed = figures.get("check_weight_error_mg")
     if passed is not None and now - datetime.fromisoformat(passed.at) <= timedelta(seconds=every_s):
         return
-    last = f"was last weighed right at {passed.at} ({passed.says})" if passed else "was not weighed right yet"
-    what = f"a check weight is asked for every {format_duration(every_s)}, and {last}; run recipes/start_of_day.yaml"
+    last = f"the last one was right at {passed.at} ({passed.says})" if passed else "none was right yet"
+    what = f"a check weight is required every {format_duration(every_s)}, and {last}; run recipes/start_of_day.yaml"
     yield Problem(cell_mark(lab, "balance", "limits", "check_weight_every"), what)
 
 
@@ -56,7 +56,7 @@ def _too_little(plan: Plan, lab: Lab, figures: Figures) -> Iterator[Problem]:
     ]
     if narrow:
         first, tolerance_mg = narrow[0]
-        what = f"the tolerance {tolerance_mg:g} mg cannot be told with a repeatability of {repeatability_mg:.2g} mg"
+        what = f"the tolerance {tolerance_mg:g} mg is too fine for a repeatability of {repeatability_mg:.2g} mg"
         mark = _mark(plan, first.id, "tolerance", first.mark)
         yield Problem(mark, f"{what}: at least {least_mg:.2g} mg" + _more(len(narrow)))
 

@@ -165,7 +165,7 @@ def _check_first_strokes(plan: Plan, lab: Lab, problems: Problems) -> None:
             first = f"the first stroke in this {'jar' if is_jar else 'bowl'} brings {format_mass(brings_mg)}"
             what = f"of {amount} of {source.powder.name} {first}, and later ones less: "
             what += "doses take several scoops each, the last ones many, and not all may be good"
-            remedy = "more of it, or a mortar" if is_jar else "a deeper mortar, or a larger one"
+            remedy = "use more of it, or a mortar" if is_jar else "use a deeper or a larger mortar"
             problems.warn(plan.recipe.marks[f"sources.{source.name}"], what, remedy, code="poor-strokes")
 
 
@@ -175,10 +175,10 @@ def _check_redone(recipe: Recipe, lab: Lab, problems: Problems) -> None:
     kinds = list(dict.fromkeys(one.name for sample in recipe.samples for one in sample.all_containers))
     if changer.driver == "operator" or changer.kinds or len(kinds) < 2 or not recipe.redone:
         return
-    what = "a sample that is done once more takes the next container from the changer, and each one behind it the one "
-    what += f"after its own; these are of {len(kinds)} kinds, and some will be refused by their weight"
+    what = "a sample that is done once more takes the next container from the changer, and every later sample takes "
+    what += f"the one after its own; they are of {len(kinds)} kinds, and some will be refused by their weight"
     slots = ", ".join(f"{kind}: …" for kind in kinds)
-    remedy = f"slots by kind in {CELL_FILE} (`slots: {{{slots}}}`), or `flag`"
+    remedy = f"write slots by kind in {CELL_FILE} (`slots: {{{slots}}}`), or use `flag`"
     problems.warn(recipe.marks[f"on_failure.{recipe.redone[0]}"], what, remedy, code="redo-shifts")
 
 
@@ -199,8 +199,8 @@ def _check_slots(recipe: Recipe, lab: Lab, problems: Problems) -> None:
                 what = (
                     f"'{sample.id}' takes more containers{of_kind} than the changer has slots: {slots}. A person fills "
                 )
-                what += "it in its midst, and a container that has gone by then does not come again"
-                remedy = f"samples of at most {slots}, or more slots in {CELL_FILE}"
+                what += "it again midway, and a container that is gone by then does not come back"
+                remedy = f"use at most {slots} in a sample, or more slots in {CELL_FILE}"
                 mark = recipe.marks.get(f"samples.{sample.id}.{key}", sample.mark)
                 problems.warn(mark, what, remedy, code="few-slots")
                 break
@@ -221,10 +221,10 @@ def _check_odds(recipe: Recipe, lab: Lab, problems: Problems) -> None:
                 continue
             told.add((powder.name, tolerance_mg))
             if (chance := chance_with_lumps(acceptance_mg(tolerance_mg, u_mg), powder.lump_mg)) < LIKELY:
-                lumps = f"{powder.name} comes in lumps of some {powder.lump_mg:g} mg"
+                lumps = f"{powder.name} comes in lumps of about {powder.lump_mg:g} mg"
                 share = format_below(chance, LIKELY)
-                what = f"about {share} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
-                remedy = "ask for a wider tolerance, or see the odds by `plan`"
+                what = f"only about {share} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
+                remedy = "ask for a wider tolerance; `plan` shows the odds"
                 problems.warn(_tolerance_mark(recipe, sample), what, remedy, code="unlikely")
 
 
@@ -237,9 +237,9 @@ def _check_telling(recipe: Recipe, lab: Lab, problems: Problems) -> None:
             continue
         told.add(tolerance_mg)
         if tolerance_mg < balance.confirmed_tolerance_mg:
-            digits = f"digits of {balance.readability_mg:g} mg"
-            what = f"of doses within ± {tolerance_mg:g} mg some or many are flagged though they are right: {digits}"
-            remedy = f"ask for {balance.confirmed_tolerance_mg:g} mg or more, or take a balance of finer digits"
+            digits = f"the balance has digits of {balance.readability_mg:g} mg"
+            what = f"good doses within ± {tolerance_mg:g} mg may be flagged, some or many of them: {digits}"
+            remedy = f"ask for {balance.confirmed_tolerance_mg:g} mg or more, or use a balance with finer digits"
             problems.warn(_tolerance_mark(recipe, sample), what, remedy, code="hardly-told")
 
 
@@ -323,7 +323,7 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
 def _parked_in_zones(motion: "MotionPlanner", lab: Lab) -> Iterator[Problem]:
     """A problem for each zone in which the parked arm stands: nothing else could ever enter it."""
     for zone in sorted(motion.entered(motion.home())):
-        what = f"parked there, the arm stands in the zone '{zone}', and what else moves in that zone waits for ever"
+        what = f"the arm parks inside the zone '{zone}', and whatever else moves in that zone waits for it for ever"
         remedy = "move the station away from it, or make the zone no larger than what moves there"
         mark = cell_mark(lab, "stations", lab.cell.station_of_kind("park").name, "position")
         yield Problem(mark, f"{what}: {remedy}", "parked-in-zone")
@@ -344,7 +344,7 @@ def _strained(motion: "MotionPlanner") -> str:
 
 def _warn_of_strain(strained: str, lab: Lab, problems: Problems) -> None:
     if strained:
-        remedy = f"a lighter hand, or the place nearer to the arm; up to {LONG_HELD_SHARE:.0%} is held for long"
+        remedy = f"use a lighter hand, or a place nearer to the arm; up to {LONG_HELD_SHARE:.0%} can be held for long"
         problems.warn(cell_mark(lab, "hand", "mass"), strained, remedy, code="strained")
 
 

@@ -106,14 +106,14 @@ class Hands:
                 return Answer(f"'{fault}' {'comes' if comes else 'does not come'}", found={"comes": comes})
             case ["end"]:
                 return Answer("the twins end", is_last=True)
-        raise ValueError(f"the words are: {'; '.join(WORDS)}")
+        raise ValueError(f"write one of: {'; '.join(WORDS)}")
 
     def _lead(self, angles_deg: Sequence[float]) -> str:
         arm = self._bench.arm
         if not all(map(math.isfinite, angles_deg)):
             raise ValueError("a joint angle is a number of degrees")
         if not arm.is_limp:
-            raise ValueError("the arm holds: take its power away, and give it back, before it is led")
+            raise ValueError("the arm holds: switch its power off and on before you lead it")
         arm.stand_at(np.radians(angles_deg))
         return f"the arm was led to {', '.join(f'{angle:g}' for angle in angles_deg)}°"
 

@@ -21,7 +21,7 @@ def take_run(journal: Path) -> Presence:
 
 def take_cell(state_folder: Path) -> Presence:
     """Lock the real cell of the lab with this state folder. Raises SourceError if a run has it."""
-    what = "the cell is in use by a run, which knows best what is in it; `scuhand-bt runs` lists it: stop it first"
+    what = "the cell is in use by a run, which keeps its inventory; stop that run first (`scuhand-bt runs` lists it)"
     return _take(state_folder / CELL, what)
 
 

@@ -127,7 +127,7 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
             continue
         mark = marks[f"sources.{name}.amount"]
         amount, left = format_mass(source.amount_mg), known.in_words
-        what = f"'{name}' holds {left} of {source.sheet_key} by the inventory ({known.origin})"
+        what = f"'{name}' holds {left} of {source.sheet_key} according to the inventory ({known.origin})"
         # The plan's refills are scheduled for its own `amount`, so a refilled source needs that at the start.
         enough_mg = demand.needed_mg if source.refill_mg is None else min(demand.needed_mg, source.amount_mg)
         needs = f"its samples need {format_mass(demand.needed_mg)} with losses"
@@ -147,14 +147,16 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
 
 
 def _another_powder(source: Source, known: StockEntry) -> str:
-    what = f"by the inventory '{source.station}' holds {known.in_words} of {known.lot_key} ({known.origin}), not"
+    what = (
+        f"according to the inventory '{source.station}' holds {known.in_words} of {known.lot_key} ({known.origin}), not"
+    )
     return f"{what} {source.sheet_key}; if the mortar was changed, {_set(source)}"
 
 
 def _set(source: Source) -> str:
     lot = f" --lot {source.lot}" if source.lot else ""
     amount = f"{source.amount_mg:g} mg"
-    return f"say so: scuhand-bt inventory set {source.station} '{amount}' --powder {source.powder.name}{lot}"
+    return f"record that: scuhand-bt inventory set {source.station} '{amount}' --powder {source.powder.name}{lot}"
 
 
 def _believe_source(name: str, mass_mg: float) -> Resolution:
@@ -171,8 +173,10 @@ def about_vessels(plan: Plan, stock: Stock) -> Iterator[Conflict]:
         held = stock.get(("station", station))
         if held is None or not held.powder or held.lot_key == source.sheet_key:
             continue
-        what = f"by the inventory the vessel '{station}' holds {held.in_words} of {held.lot_key} ({held.origin})"
-        what = f"{what}; what is left of {source.sheet_key} is to go there"
+        what = (
+            f"according to the inventory the vessel '{station}' holds {held.in_words} of {held.lot_key} ({held.origin})"
+        )
+        what = f"{what}; leftovers of {source.sheet_key} would go there"
         question = f"The vessel '{station}' holds {held.lot_key}. Has it been emptied and cleaned, or changed?"
         yield Conflict(plan.recipe.marks["leftover"], what, question, (("emptied", _vessel_emptied(station)),))
         return  # a recipe has only one such vessel, for one lot
@@ -222,10 +226,10 @@ def _about_hand(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
     cone, sheet = stock.get(("cone", "")), stock.get(("sheet", ""))
     is_loaded = cone is not None and (cone.mass_mg or 0.0) >= EMPTY_MG
     if cone is not None and is_loaded and (first is None or cone.lot_key != first.sheet_key):
-        what = f"by the inventory the cone holds {cone.in_words} of {cone.lot_key} ({cone.origin})"
-        yield Conflict(mark, f"{what}; {needs}; empty it, and say so: scuhand-bt inventory set cone '0 mg'")
+        what = f"according to the inventory the cone holds {cone.in_words} of {cone.lot_key} ({cone.origin})"
+        yield Conflict(mark, f"{what}; {needs}; empty it, and record that: scuhand-bt inventory set cone '0 mg'")
     if sheet is not None and sheet.powder and first is not None and sheet.lot_key != first.sheet_key:
-        what = f"by the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
+        what = f"according to the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
         rim = f"its rim {_mounted_mm(cell):g} mm wide"
         question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now, {rim}?"
         yield Conflict(mark, f"{what}; {needs}", question, (("fresh", _fresh_sheet),))
@@ -238,9 +242,9 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
         counts = [one for one in stock.values() if one.kind == "changer" and bool(one.name) == bool(last.name)]
         used = sum(one.used or 0 for one in counts)
         how = "by kind" if cell.changer.kinds else "in the plan's order"
-        what = f"by the inventory {used} slots of the changer were used ({last.origin}) when it was filled otherwise"
+        what = f"according to the inventory {used} slots of the changer were used ({last.origin}), filled in"
         question = f"The changer is to be filled {how} now. Has that been done?"
-        what = f"{what} than robot/cell.yaml says now ({how})"
+        what = f"{what} another way than robot/cell.yaml says now ({how})"
         yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", _slots_refilled),))
         return
     batch = Counter(one.name for sample in plan.recipe.samples for one in sample.all_containers)
@@ -251,7 +255,7 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
         used, slots, for_kind = known.used or 0, cell.changer.slots_for(kind), f" for {kind}" if kind else ""
         if not used or used + containers <= slots:
             continue
-        what = f"by the inventory {used} of the changer's {slots} slots{for_kind} are used ({known.origin})"
+        what = f"according to the inventory {used} of the changer's {slots} slots{for_kind} are used ({known.origin})"
         question = f"{used} of the changer's {slots} slots{for_kind} are used. Is it filled again now?"
         what = f"{what}; the batch has {containers} containers" + (f" of the kind {kind}" if kind else "")
         yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", _slots_refilled),))

@@ -43,8 +43,10 @@ def warn_of_one_scoop(plan: Plan, cell: CellSpec, problems: Problems) -> None:
             continue
         told.add((source.name, one.doses_mg))
         doses = f"{counted(len(one.doses_mg), 'dose')} ({format_mass(sum(one.doses_mg))})"
-        what = f"'{one.sample.id}' takes {doses} of one scoop from '{source.name}', and of {format_mass(bed_mg)} of "
-        what += f"{source.powder.name} in this mortar one should bring {format_mass(brings_mg)}: the cone may run empty"
+        what = f"'{one.sample.id}' takes {doses} from one scoop of '{source.name}', but of {format_mass(bed_mg)} of "
+        what += (
+            f"{source.powder.name} in this mortar a scoop should bring {format_mass(brings_mg)}: the cone may run empty"
+        )
         problems.warn(one.sample.mark, what, _remedy(one, cell, brings_mg), code="one-scoop")
 
 
@@ -85,7 +87,9 @@ def _remedy(one: _OfOneScoop, cell: CellSpec, brings_mg: float) -> str:
     ways += ["a workflow that scoops again where the cone runs empty, as `fill` does"]
     limit_mg = source.powder.load_limit_mg
     if sum_mg > sure * LOAD_AIM * limit_mg:
-        return f"{', or '.join(ways)}; the powder's load limit ({format_mass(limit_mg)}) is little for so much at once"
+        return (
+            f"{', or '.join(ways)}; the powder's load limit ({format_mass(limit_mg)}) is too small for so much at once"
+        )
     taken_mg, needs_mg = source.amount_mg - one.bed_mg, needed_mg(one.sample, source)
     fills_mg = (share * source.amount_mg for share in OTHER_FILLS)
     fitting_mg = (mg for mg in fills_mg if taken_mg + needs_mg <= mg <= source.capacity_mg)

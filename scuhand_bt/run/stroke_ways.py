@@ -202,10 +202,10 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
         if source.is_discarded:
             gone = ", what is left of each load is thrown away"
             if sure_doses(jar, doses_mg, everywhere_deg, is_discarded=False, may_be=arm_can) == len(doses_mg):
-                returned = "say `leftover: return`, with which they all are, "
+                returned = "write `leftover: return`, with which all are, "
         raise MortarCannotBeScooped(
             source.name,
-            f"{of} are sure to bring {brings}, and {needed}{gone}; the rest lies before the wall and beside the "
+            f"{of} are sure to bring {brings}, but {needed}{gone}; the rest lies before the wall and beside the "
             f"strokes: {returned}fill in more, take a mortar, or a place where the arm can make strokes in more "
             "directions (`scuhand-bt reach --task scoop`)",
         )

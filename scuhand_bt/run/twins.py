@@ -41,7 +41,7 @@ ANSWER_S = 10.0
 """Twins on a busy computer answer within this time [s]; else they count as gone."""
 BEGIN_S = 120.0
 """How long they may take to start [s]."""
-GONE = "the twins have ended; what they were is on disk, and `scuhand-bt resume` starts them anew"
+GONE = "the twins have ended; their state is on disk, and `scuhand-bt resume` starts them again"
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,11 @@ class Made:
         try:
             there = TypeAdapter(Made).validate_json((folder / MADE).read_bytes())
         except (OSError, ValidationError):
-            raise _problem(folder / MADE, f"it does not say of what the world in {folder} is; begin anew") from None
+            raise _problem(
+                folder / MADE, f"it does not say what the world in {folder} is of; begin a new one"
+            ) from None
         if there != self:
-            raise _problem(folder / WORLD, f"this world is of {there}; this is {self}: begin anew")
+            raise _problem(folder / WORLD, f"this world is of {there}, but the twins are of {self}: begin a new one")
 
     def write(self, folder: Path) -> None:
         (folder / MADE).write_text(json.dumps(asdict(self)), encoding="utf-8")

@@ -31,7 +31,7 @@ class ClockWatch:
         way = "forward" if wall_s > should_be_s else "back"
         return (
             f"the computer's clock was set {way} by {format_duration(abs(wall_s - should_be_s))}, from "
-            f"{_at(should_be_s)} to {_at(wall_s)}; by which of the two the other entries are dated, their order says"
+            f"{_at(should_be_s)} to {_at(wall_s)}; the order of the entries shows by which of the two each is dated"
         )
 
 
@@ -44,8 +44,8 @@ def disagreement(last_at: str | None) -> str | None:
     if odd == "more than a year after" and now - last < LONGEST_REST:
         return None
     return (
-        f"the computer's clock shows {now.isoformat(timespec='seconds')}, {odd} the last that this lab has written "
-        f"down ({last_at}): look whether it is right"
+        f"the computer's clock shows {now.isoformat(timespec='seconds')}, {odd} the last time that this lab has "
+        f"recorded ({last_at}): check the clock"
     )
 
 

@@ -293,13 +293,13 @@ class _Elsewhere:
         look_at = "look at `scuhand-bt reach --task scoop`"
         names = [f"'{one.source.station}'" for one in self._badly if not any(self._good(one, []))]
         if names:
-            return f"{' and '.join(names)} may be at none of the places that were tried, nor on stands: {look_at}"
+            return f"none of the places that were tried, nor stands, suits {' and '.join(names)}: {look_at}"
         for together in islice(self._together([], self._badly), MOST_TRIED):
             if self._do([place for place in together if place.is_elsewhere]):
                 there = " and ".join(place.said() for place in together)
                 return f"With {there} it can scoop there, and carry what it has scooped to where it goes"
         names = [f"'{one.source.station}'" for one in self._badly]
-        return f"Of the places that were tried for {' and '.join(names)} none leaves the arm all its ways: {look_at}"
+        return f"Of the places that were tried for {' and '.join(names)} none leaves the arm all its paths: {look_at}"
 
     def _together(self, placed: Sequence[Place], left: Sequence[Demand]) -> Iterator[Sequence[Place]]:
         """Combinations of places that are good for each mortar by itself, and clear of each other."""

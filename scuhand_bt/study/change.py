@@ -112,9 +112,9 @@ def with_value(text: str, place: str, value: Value) -> str:
             )
     is_block = node.style in ("|", ">") if isinstance(node, yaml.ScalarNode) else not node.flow_style
     if is_block:  # its end mark is where the next node begins
-        raise _refused(place, "it is written in lines of their own; name a value in it, or write it in one line")
+        raise _refused(place, "it has several lines; name a value in it, or write it in one line")
     if node.start_mark.index == node.end_mark.index:
-        raise _refused(place, "nothing is written there; write a value, which is then varied")
+        raise _refused(place, "it has no value; write one, which is then varied")
     new = str(value)
     if not re.fullmatch(r"-?[\w.+/^°][\w.+/^° -]*", new):  # "- 5" would be a list
         new = json.dumps(new, ensure_ascii=False)

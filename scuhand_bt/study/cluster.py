@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 T = TypeVar("T")
 OURS = f"scuhand-bt {scuhand_bt.__version__}"
-GOES_ON = "the same command goes on with what was kept"
+GOES_ON = "the same command continues with what was kept"
 LOOKS_S, ALONE_LOOKS = 1.0, 10
 """How often it is checked that the cluster has a worker [s], and after how many checks without one that is reported."""
 
@@ -42,7 +42,7 @@ class _Sent:
 def answer(program: str, call: bytes) -> Any:
     """Execute a call on a worker. Raises ImportError if its program has another source than `program`."""
     if source_digest() != program:
-        raise ImportError(f"it has {scuhand_bt.__version__} of another source")
+        raise ImportError(f"it has {scuhand_bt.__version__} from another source")
     return pickle.loads(call)()
 
 
@@ -89,7 +89,9 @@ def workers_of(address: str, tell: Callable[[str], None]) -> Iterator[Executor]:
                     yield _Cluster(dask)
             except ImportError as error:
                 _require_same(client, mark)
-                problem = f"a worker has not all that a trial takes ({error}): install {OURS} there anew; {GOES_ON}"
+                problem = (
+                    f"a worker lacks something that a trial needs ({error}): install {OURS} there again; {GOES_ON}"
+                )
                 raise SourceError([Problem(mark, problem)]) from None
     except (CancelledError, KilledWorker) as error:
         problem = f"the cluster was lost ({type(error).__name__}); {GOES_ON}"
@@ -126,7 +128,7 @@ def _require_workers(client: "Client", mark: Mark) -> None:
         client.wait_for_workers(1, timeout=10)
         _require_same(client, mark)
     except OSError:
-        problem = "the scheduler has no worker: start some by `dask worker ADDRESS`"
+        problem = "the scheduler has no worker: start some with `dask worker ADDRESS`"
         raise SourceError([Problem(mark, problem)]) from None
 
 
@@ -135,5 +137,5 @@ def _require_same(client: "Client", mark: Mark) -> None:
     said = client.run(pickle.loads, _sent(tuple), on_error="return")
     others = {worker: there for worker, there in said.items() if isinstance(there, BaseException)}
     if others:
-        told = [f"the worker {one} has not this {OURS} ({why}): install it there" for one, why in others.items()]
+        told = [f"the worker {one} does not have this {OURS} ({why}): install it there" for one, why in others.items()]
         raise SourceError([Problem(mark, f"{problem}; {GOES_ON}") for problem in told])

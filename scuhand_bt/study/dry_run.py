@@ -46,8 +46,8 @@ def _dry_run(setup: Setup, seed: int) -> Trial:
     plan, lab, motion = _made(setup)
     plant = SOME_CELL if setup.plant is None else setup.plant
     if setup.modules and _read_as(setup.plant, setup.lab) not in ("", setup.modules):
-        what = "a module of your own that its skills, its drivers or the --plant are made of has changed since"
-        raise SourceError([Problem(Mark(str(setup.lab), 0), f"{what}; begin again, a cluster's workers too")])
+        what = "one of your own modules, which its skills, its drivers or the --plant import, has changed since"
+        raise SourceError([Problem(Mark(str(setup.lab), 0), f"{what}; start again, also a cluster's workers")])
     SomeCell.seed = seed
     with tempfile.TemporaryDirectory(prefix="scuhand-trial-") as folder:
         runs = Path(folder) / "runs"
@@ -178,6 +178,6 @@ def _made(setup: Setup) -> tuple[Plan, Lab, MotionPlanner]:
             motions[geometry] = prepared_motion(plan, lab)
         made = plan, lab, motions[geometry]
     if setup.files not in ("", files_hash(setup.recipe, setup.lab)):
-        problem = "it, a table of it or its lab has changed since these dry runs began; begin them again"
+        problem = "it, one of its tables or its lab has changed since these dry runs began; start them again"
         raise SourceError([Problem(Mark(str(setup.recipe), 0), problem)])
     return made

@@ -58,9 +58,11 @@ def read_night(text: str) -> Night:
     except ValueError:
         begins = ends = None
     if begins is None or ends is None:
-        raise SourceError([Problem(Mark("--night", 0), f"'{text}' is no night; such as 20:00-08:00")])
+        raise SourceError([Problem(Mark("--night", 0), f"'{text}' is not a night; write hours such as 20:00-08:00")])
     if begins == ends:
-        raise SourceError([Problem(Mark("--night", 0), f"'{text}' ends when it begins; such as 20:00-08:00")])
+        raise SourceError(
+            [Problem(Mark("--night", 0), f"'{text}' ends when it begins; write hours such as 20:00-08:00")]
+        )
     return Night(begins, ends if ends > begins else ends + timedelta(days=1))
 
 
@@ -123,7 +125,7 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Pl
     last = f", the last by {night.by(fit[-1].done_s or 0.0)}" if fit else ""
     rare = ""
     if fit and odds.trials < ONE_OF:
-        rare = f" What stops one run of {ONE_OF} may not have come in {odds.trials} dry runs: more `--trials` tell."
+        rare = f" {odds.trials} dry runs may not show what stops one run in {ONE_OF}: use more `--trials`."
     yield f"In a night {hours} with nobody there: {len(fit)} of {len(found)} samples{last}.{rare}"
     reasons: dict[str, list[str]] = {}
     for fate in found:
@@ -135,4 +137,4 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Pl
     if better is not None:
         more = sum(fate.why is None for fate in fates(better, tried(better), night))
         if more > len(fit):
-            yield f"With `order: {better.recipe.order}` it would be {more}, by as many dry runs."
+            yield f"With `order: {better.recipe.order}` it would be {more}, by the same number of dry runs."

@@ -23,8 +23,8 @@ from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.study.trial import LEFTOVERS, Trial
 
 RECKONED = (
-    "What is left is what each run reckons, by what its scoops should bring: no interval tells how far that is off. "
-    "Powder used is the simulation's own."
+    "Leftovers are what each run estimates, by what its scoops should bring: no interval says how far that is off. "
+    "The powder used is the simulation's own figure."
 )
 """How `Odds.leftovers_mg` and `Odds.used_mg` are obtained, for people who read them side by side."""
 CELLS = (

@@ -44,8 +44,8 @@ def executor_of(
             with _Processes(many, spawn, _begin) as pool, _ends_at_once(pool, cancel_futures=True):
                 yield pool
         except BrokenExecutor:
-            which, fewer = (f"one of {many} processes", "take fewer, and ") if many > 1 else ("the process", "")
-            problem = f"{which} was killed, as for want of memory: {fewer}try again"
+            which, fewer = (f"one of {many} processes", "use fewer, and ") if many > 1 else ("the process", "")
+            problem = f"{which} was killed, perhaps for lack of memory: {fewer}try again"
             raise SourceError([Problem(Mark("--workers", 0), problem)]) from None
         return
     with workers_of(dask, tell) as cluster, _ends_at_once(cluster):

@@ -42,8 +42,8 @@ def stopped_in_words(odds: Odds) -> Iterator[str]:
     """How many dry runs stopped before their end, and why the first did, as a sentence."""
     if odds.stopped:
         yield (
-            f"Of {counted(odds.trials, 'dry run')} {len(odds.stopped)} stopped before the end, which shortens the time "
-            f"that is told: a person has to look at the cell then, and to resume the run. The first: {odds.stopped[0]}"
+            f"Of {counted(odds.trials, 'dry run')} {len(odds.stopped)} stopped before the end, so the time above is "
+            f"too short: a person then has to look at the cell, and to resume the run. The first: {odds.stopped[0]}"
         )
 
 
@@ -57,8 +57,8 @@ def unforeseen_in_words(plan: Plan, odds: Odds) -> Iterator[str]:
     """The same as a sentence; none if there are no such jobs."""
     if jobs := unforeseen(plan, odds):
         yield (
-            f"In dry runs a person was also asked for something at {listed(jobs, 'job')}, which need not come: what "
-            "to do with a sample that failed, say, or to fill the changer for one that is done once more."
+            f"In dry runs a person was also asked for something at {listed(jobs, 'job')}, which may not happen: for "
+            "example what to do with a failed sample, or to fill the changer for one that is done once more."
         )
 
 

@@ -93,7 +93,7 @@ class Vary(Spec):
     @classmethod
     def _is_for_the_design(cls, draws: int, others: ValidationInfo) -> int:
         if others.data.get("design") == "sobol" and draws & (draws - 1):
-            raise ValueError("a sobol design takes a power of two")
+            raise ValueError("a sobol design needs a power of two")
         return draws
 
     def changes(self, seed: int = 0) -> list[Changes]:
@@ -160,7 +160,7 @@ def read_vary(path: Path, recipe: Path, lab: Path) -> Vary:
     """Read such a file and check it against what it varies. Raises SourceError with every mistake found."""
     problems = Problems()
     root = load(path, "a file of what to vary")
-    vary = validate(Vary, root, problems, "such as {vary: {cell.balance.readability: [0.1 mg, 1 mg]}},")
+    vary = validate(Vary, root, problems, "a mapping such as {vary: {cell.balance.readability: [0.1 mg, 1 mg]}}")
     if vary is not None and vary.design == "grid" and (many := vary.points) > MOST_DRAWS:
         problems.add(root.mark, f"a grid of {many} points", f"at most {MOST_DRAWS}: fewer `draws`, or another design")
     places = root.get("vary") if isinstance(root, Entries) else None

@@ -15,7 +15,7 @@ export async function post(path, body) {
   const headers = {"Content-Type": "application/json", "X-Dashboard": (await session).word};
   const answer = await fetch(path, {method: "POST", headers, body: JSON.stringify(body)});
   const told = await answer.json();
-  if (!answer.ok) throw new Error(typeof told.detail === "string" ? told.detail : "that cannot be asked for");
+  if (!answer.ok) throw new Error(typeof told.detail === "string" ? told.detail : "this request is not possible");
   return told;
 }
 

@@ -132,7 +132,7 @@ async function ask(path, body) {
   const name = by("who").value.trim(), pin = by("pin").value;
   try {
     await post(path, {...body, name: name || null, pin: pin || null});
-    by("said").textContent = "The run has heard it.";
+    by("said").textContent = "The run has received it.";
   } catch (error) {
     by("said").textContent = `Not done: ${error.message}.`;
   }
@@ -142,7 +142,7 @@ async function ask(path, body) {
 for (const button of document.querySelectorAll("[data-wish]")) {
   button.addEventListener("click", () => {
     const wish = button.dataset.wish;
-    if (wish === "stop_now" && !confirm("Stop the run now? What is at work is halted.")) return;
+    if (wish === "stop_now" && !confirm("Stop the run now? Running actions are halted.")) return;
     ask(`${api}/wish`, {wish});
   });
 }
@@ -237,7 +237,7 @@ function follow() {
   events.addEventListener("error", () => {
     by("said").textContent = HAS_ENDED.includes(last.state)
       ? "The dashboard has ended; `scuhand-bt serve` shows the run again."
-      : "The dashboard does not answer: what is shown is of before. The run goes on without it.";
+      : "The dashboard does not answer: what is shown is old. The run goes on without it.";
   });
 }
 follow();
