@@ -160,10 +160,10 @@ def test_the_command_tells_the_odds_and_writes_every_sample(
         (("--vary", "order.yaml", "--optimise", 2, "-o", "x.csv"), "--output: a search only proposes values"),
         (("--vary", "order.yaml", "--optimise", 2, "--plot", "x.png"), "--plot: a search only proposes values"),
         (("--plot", "x.jpg"), "--plot: 'x.jpg' must be a file of this kind: .png, .svg"),
-        (("--trials", 10_000_000), "--trials: these are 10000000 dry runs, and 1000000 the most"),
+        (("--trials", 10_000_000), "--trials: these are 10000000 dry runs; at most 1000000 are allowed"),
         (
             ("--vary", "order.yaml", "--optimise", 2, "--trials", 10**9),
-            "--trials: these are 5000000000 dry runs, and 1000",
+            "--trials: these are 5000000000 dry runs; at most 1000",
         ),
         (("--first-seed", 10**19), "--first-seed"),
     ],

@@ -63,7 +63,7 @@ def balance(
     for name, learnt in state.balances(simulated=simulated).items():
         if learnt.is_older_than(BALANCE_BELIEVED_FOR, datetime.now().astimezone()):
             days = f"more than {BALANCE_BELIEVED_FOR.days} days ago"
-            out.print(Text(f"{name}: its delay was learnt from doses {days}; the next dose learns it again."))
+            out.print(Text(f"{name}: its delay was learnt from doses {days}; the next dose learns it anew."))
 
 
 def _told(value: float | str, unit: str) -> str:
