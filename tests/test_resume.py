@@ -293,11 +293,11 @@ def test_a_changed_recipe_or_lab_is_refused_and_may_be_accepted(run: Run) -> Non
 @pytest.mark.parametrize(
     ("before", "after", "what"),
     [
-        ("  - {id: b, mass: 80 mg}\n", "", "'b' was under way, and this plan has it no more"),
+        ("  - {id: b, mass: 80 mg}\n", "", "'b' was under way, but this plan no longer has it"),
         (
             "  - {id: b,",
             "  - {id: new, mass: 50 mg}\n  - {id: b,",
-            "'b' had begun, and in this plan 'new' comes before",
+            "'b' had begun, but in this plan 'new' comes before",
         ),
     ],
 )
