@@ -1,7 +1,7 @@
 """Draws the rooms of `scuhand_bt`: the layers of pyproject.toml's contract, and what really imports what.
 
-    python docs/draw_rooms.py                                   # docs/rooms.svg, of this tree
-    python docs/draw_rooms.py 2cdc4e6 -o docs/rooms_before.svg  # of a commit
+    python docs/draw_rooms.py             # docs/rooms.svg
+    python docs/draw_rooms.py -o FILE     # elsewhere
 
 A line says that the upper room imports the lower one. What follows from other lines is left out (the transitive
 reduction). A line over several layers passes each of them beside its rooms. Rooms are ordered for few crossings, by
@@ -10,11 +10,7 @@ swaps of neighbours, and stand as near to the mean of what they are linked with 
 """
 
 import argparse
-import io
-import subprocess
 import sys
-import tarfile
-import tempfile
 import tomllib
 from dataclasses import dataclass, field
 from html import escape
@@ -264,21 +260,10 @@ def _legend(y: float, house: House, rooms: int, layers: int) -> list[str]:
 
 
 def main() -> None:
-    """Draw this tree, or a commit."""
+    """Draw this tree."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("commit", nargs="?", help="draw this commit, not the working tree")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "rooms.svg")
-    arguments = parser.parse_args()
-    if arguments.commit is None:
-        house = read_house(ROOT)
-    else:
-        archive = subprocess.run(
-            ["git", "-C", ROOT, "archive", arguments.commit, PACKAGE, "pyproject.toml"], check=True, capture_output=True
-        ).stdout
-        with tempfile.TemporaryDirectory() as folder, tarfile.open(fileobj=io.BytesIO(archive)) as files:
-            files.extractall(folder, filter="data")
-            house = read_house(Path(folder))
-    arguments.output.write_text(draw(house), encoding="utf-8")
+    parser.parse_args().output.write_text(draw(read_house(ROOT)), encoding="utf-8")
 
 
 if __name__ == "__main__":

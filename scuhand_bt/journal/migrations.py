@@ -3,7 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -18,14 +18,16 @@ _NO_JOB = 1 << 62
 
 def in_memory(links: Iterator[tuple[Entry, bytes]]) -> sqlite3.Connection:
     """A database in memory with these entries and their hashes, and all views of them."""
-    database = sqlite3.connect(":memory:", isolation_level=None)
-    database.executescript(SCHEMA)
     values = ", ".join("?" * (len(Entry._fields) + 1))
-    database.execute("BEGIN")
-    database.executemany(
-        f"INSERT INTO entry ({COLUMNS}, hash) VALUES ({values})", ((*e, stored) for e, stored in links)
-    )
-    database.execute("COMMIT")
+    with ExitStack() as opened:
+        database = opened.enter_context(closing(sqlite3.connect(":memory:", isolation_level=None)))
+        database.executescript(SCHEMA)
+        database.execute("BEGIN")
+        database.executemany(
+            f"INSERT INTO entry ({COLUMNS}, hash) VALUES ({values})", ((*e, stored) for e, stored in links)
+        )
+        database.execute("COMMIT")
+        opened.pop_all()  # entries that are damaged leave none open
     return database
 
 
