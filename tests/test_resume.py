@@ -562,7 +562,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
         session.run(watch)
     finally:
         session.close()
-    with pytest.raises(SourceError, match=r"Unwritable cannot be written down.*anew"):
+    with pytest.raises(SourceError, match=r"Unwritable cannot be written down.*start a new run"):
         checked_history(run.journal)
 
 
