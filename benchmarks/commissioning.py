@@ -139,7 +139,7 @@ def _answer(factory: Factory, session: Session, seen: dict[str, Any]) -> None:
             world.place(check_weight(20_000.0))
         elif text.startswith("Take"):
             world.remove()
-        elif "mount the sheet anew" in text:
+        elif "mount the sheet again" in text:
             world.swap_sheet()
         questions.give(asked.number, asked.choices[0], Who("Ada"))
 

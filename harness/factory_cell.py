@@ -105,9 +105,9 @@ class Hands:
         elif "room all round" in question or "can be measured" in question:
             self.led_to = self.bench_lab.motion_planner({}).home()
             self._lead_to(self.led_to)
-        elif question.startswith("By itself, joint"):
+        elif "will now move by itself" in question:
             self._before = self.bench.arm.joints
-        elif question.startswith("Has it done that"):
+        elif question.startswith("Did it do exactly this"):
             which = next(k for k, (what, _) in enumerate(TURNS) if what.split(": ")[1] in question)
             turned_deg = np.degrees(self.bench.arm.joints - self._before)
             return "yes" if self._is_only(which, turned_deg * TURNS[which][1]) else "no"

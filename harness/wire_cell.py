@@ -251,7 +251,7 @@ def _answer(cell: WireCell, session: Session, tell: Callable[[dict[str, Any]], N
         answer = next((one for one in asked.choices if one in sees), asked.choices[0])
         if "none" in asked.choices and answer not in sees:
             answer = "none"
-        if "mount the sheet anew" in asked.text:
+        if "mount the sheet again" in asked.text:
             cell.say("sheet")
         tell({"asked": asked.text, "answer": answer})
         questions.give(asked.number, answer, Who("Ada"))

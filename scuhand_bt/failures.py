@@ -113,28 +113,30 @@ CATALOGUE: Mapping[str, Failure] = {
         ("motion",),
     ),
     Code.ARM_START_IN_COLLISION: Failure(
-        "The arm touches something (in the model) where it stands, and cannot go out of it by itself.",
-        "Hold the arm, switch its supply off, lead it clear, supply on, resume; or correct robot/cell.yaml's geometry.",
+        "Where it stands, the arm touches something (in the model), and it cannot move away by itself.",
+        "Hold the arm, switch its supply off and on, lead it clear by hand, and resume. Or correct the geometry in "
+        "robot/cell.yaml.",
         ("cell", "motion"),
     ),
     Code.ARM_JOINT_LIMIT: Failure(
-        "A joint is, or would go, beyond its limit.",
+        "A joint is beyond its limit, or would go beyond it.",
         "Move the joint back inside its range by hand and start again.",
         ("motion", "devices"),
     ),
     Code.ARM_IN_THE_WAY: Failure(
-        "The arm stands where something else is to move, as over the pan while a container is to be changed.",
+        "The arm stands where something else is about to move, for example over the pan when a container is to be "
+        "changed.",
         "Put `park:` before `place_container` in the workflow.",
         ("cell", "tree"),
     ),
     Code.ARM_ZONE_TAKEN: Failure(
-        "The arm was to go into a zone of the cell, or to leave it, and something else did not end there.",
-        "Look at the cell; in the workflow, put what goes into the zone behind the `parallel`, not into it.",
+        "The arm had to enter or leave a zone of the cell, but something else there did not end in time.",
+        "Look at the cell. In the workflow, put the actions that need this zone after the `parallel`, not inside it.",
         ("cell",),
     ),
     Code.ARM_NOT_OVER_PAN: Failure(
-        "Powder was to be let out, and the cone is not over the mouth of the container on the pan.",
-        "Put `move_over:` before `dispense` in the workflow, and behind each `scoop` or `park`.",
+        "Powder was to be let out, but the cone is not over the mouth of the container on the pan.",
+        "Put `move_over:` before `dispense` in the workflow, and after each `scoop` or `park`.",
     ),
     Code.ARM_NOT_FOLLOWING: Failure(
         "The arm is not where its trajectory says it should be.",
@@ -142,18 +144,19 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.ARM_LIMP: Failure(
-        "The arm, or the hand's roller, has no torque, or no servo answers any more: its supply is or was off.",
-        "Support the arm, look where the cone's load went, clear the way; switch the supply on, then resume.",
+        "The arm or the hand's roller has no torque, or no servo answers: the supply is off, or was off.",
+        "Support the arm. Look where the cone's load went, and clear the way. Switch the supply on, then resume.",
         ("devices", "run"),
     ),
     Code.COMPUTER_BUSY: Failure(
-        "This computer did not give the run its time, and what moved was stopped. Nothing was in the arm's way.",
-        "Close what else runs here, give the run more cores or `nice -n -5`; `scuhand-bt doctor` measures it.",
+        "This computer was too busy for the run, so everything that moved was stopped. Nothing was in the arm's way.",
+        "Close other programs, give the run more cores, or start it with `nice -n -5`. `scuhand-bt doctor` "
+        "measures how late this computer is.",
         ("devices",),
     ),
     Code.SERVO_OVERLOAD: Failure(
-        "A servo has shut down on overload or heat.",
-        "Support the arm, free it, let it cool; switch its supply off and on.",
+        "A servo has shut down because of overload or heat, or is too hot to go on moving.",
+        "Support the arm, free it and let it cool. Then switch its supply off and on.",
         ("devices",),
     ),
     Code.DEVICE_LOST: Failure(
@@ -162,8 +165,8 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices", "run"),
     ),
     Code.DEVICE_BUSY: Failure(
-        "A device did not stop in the time it should, or is still at work.",
-        "Look at the cell; if it stands still, start again.",
+        "A device did not stop in time, or is still working.",
+        "Look at the cell. If everything stands still, start again.",
         ("devices", "tree", "run"),
     ),
     Code.DEVICE_EMERGENCY_STOP: Failure(
@@ -173,55 +176,61 @@ CATALOGUE: Mapping[str, Failure] = {
     ),
     Code.BALANCE_UNSTABLE: Failure(
         "The balance did not settle in time.",
-        "Close the draft shield, look for vibration, draughts, a touching container; if it creeps, for its filter.",
+        "Close the draft shield. Look for vibration, draughts, and anything that touches the container. If the "
+        "reading creeps, check the balance's filter.",
         ("devices", "cell"),
     ),
     Code.BALANCE_COARSE: Failure(
-        "The balance shows finer digits than it weighs, holds back small changes, or stands still.",
-        "Set its readability in robot/cell.yaml to what it resolves; switch off its hold, its stable-display filter.",
+        "The balance shows more digits than it resolves, holds back small changes, or its display is frozen.",
+        "Set its readability in robot/cell.yaml to what it really resolves. Switch off its hold and its "
+        "stable-display filter.",
     ),
     Code.BALANCE_DRIFTING: Failure(
-        "Two weighings of one thing, one after the other, went on differing: a mass cannot be told.",
-        "Let the container come to the room's temperature, ground it, close the draft shield, let the balance warm up; "
-        "where it only grows, see whether the shut valve leaks: `hand.leak` tells leaks from 1 mg/s.",
+        "Two weighings in a row of the same load went on differing, so its mass cannot be determined.",
+        "Let the container reach room temperature, and ground it. Close the draft shield, and let the balance warm "
+        "up. If the reading only grows, check whether the shut valve leaks: `hand.leak` detects only leaks of 1 "
+        "mg/s or more.",
         ("cell",),
     ),
     Code.BALANCE_SLOW: Failure(
-        "The balance shows a load so late that no dose can be stopped in time.",
-        "Set its filter (response, environment) to a quicker one; `scuhand-bt balance` shows what is known of it.",
+        "The balance shows a load too late to stop a dose in time.",
+        "Set its filter (response, environment) to a faster one. `scuhand-bt balance` shows what is known of it.",
         ("cell",),
     ),
     Code.BALANCE_BRACKET_OPEN: Failure(
-        "What the container has gained by the bare pan before and after it is not what was dosed into it.",
-        "Weigh the container again by hand; look for powder beside it, a leaking valve, and a zero that steps: a "
-        "display that is renewed less often than the balance's `period` in robot/cell.yaml says looks like one, and so "
-        "does a powder that comes charged or warm.",
+        "The container's gain, weighed against the bare pan before and after it, does not confirm the dose.",
+        "Weigh the container again by hand. Look for powder beside it, a leaking valve, and a zero that steps. Two "
+        "other causes look like a step of the zero: a display that is renewed less often than the balance's "
+        "`period` in robot/cell.yaml says, and a powder that comes charged or warm.",
         ("run",),
     ),
     Code.BALANCE_OVERLOAD: Failure(
         "The load is beyond the balance's range.",
-        "Take the load off; use a lighter container or insert. In underload: put the pan in place; or, if it was "
-        "switched on with something on it, clear the pan and switch it off and on.",
+        "Take the load off; use a lighter container or insert. On underload, put the pan in place. If the balance "
+        "was switched on with something on it, clear the pan and switch it off and on.",
         ("devices",),
     ),
     Code.CONTAINER_MISSING: Failure(
-        "No container stands on the pan, or another one than should.",
+        "No container stands on the pan, or not the expected one.",
         "Put the container on the pan, or fill the changer's slot.",
         ("devices", "run"),
     ),
     Code.CONTAINER_MOVED: Failure(
-        "The pan lost mass while a dose was going on.",
-        "See whether the container was touched, tipped or taken away; begin its dose again with a new one.",
+        "The pan lost mass during a dose.",
+        "Check whether the container was touched, tipped or taken away. Begin its dose again with a new container.",
         ("cell",),
     ),
     Code.CONTAINER_CHANGED: Failure(
-        "After an interruption the container on the pan weighs what it cannot, or is another one.",
-        "See whether it was touched, tipped, exchanged or taken away; give the sample a new one (`on_failure: redo`).",
+        "It is not known what the container holds: after an interruption its mass is not possible, or it may be "
+        "another one.",
+        "Check whether it was touched, tipped, exchanged or taken away. Give the sample a new container "
+        "(`on_failure: redo`).",
         ("cell",),
     ),
     Code.CONTAINER_WRONG_MASS: Failure(
-        "What was put on the pan does not weigh what this container should.",
-        "Check that it is the right container, empty and clean; correct robot/containers.yaml if it changed.",
+        "The mass that was put on the pan is not that of this container.",
+        "Check that it is the right container, empty and clean. If its mass has changed, correct "
+        "robot/containers.yaml.",
     ),
     Code.CONTAINER_TOO_SMALL: Failure(
         "The mass does not fit into the container.",
@@ -232,17 +241,17 @@ CATALOGUE: Mapping[str, Failure] = {
         "Scoop again (the shipped workflows do).",
     ),
     Code.HAND_WRONG_POWDER: Failure(
-        "The cone holds, or the sheet has touched, another powder.",
+        "The cone holds another powder, or the sheet has touched one.",
         "Discard or return what is in the cone and swap the sheet.",
     ),
     Code.HAND_NO_FLOW: Failure(
         "The cone should hold more powder, but none comes out, even with vibration: a bridge, or a poor scoop.",
-        "Let it out and scoop again (the shipped workflows do); look for a lump at the apex, and whether the sheet "
-        "opens and the motor shakes. Dry or sieve the powder.",
+        "Empty the cone and scoop again (the shipped workflows do). Look for a lump at the apex. Check that the "
+        "sheet opens and the motor shakes. Dry or sieve the powder.",
     ),
     Code.HAND_VALVE_STUCK: Failure(
         "The valve does not move; powder may be running out of it.",
-        "Hold a vessel under the cone, empty it by hand, and look for powder or a fold of the sheet in the valve.",
+        "Hold a vessel under the cone, and empty it by hand. Look for powder, or a fold of the sheet, in the valve.",
         ("devices",),
     ),
     Code.HAND_VALVE_LOST: Failure(
@@ -251,50 +260,52 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices", "run"),
     ),
     Code.HAND_LEAK: Failure(
-        "Powder runs onto the pan though the valve is shut, or late, on a balance that was set slower in the dose.",
-        "Hold a vessel under the cone and empty it; look for powder in the valve, or a fold or hole in the sheet. "
-        "Where nothing runs, look at the balance's filter; then resume.",
+        "The pan gains mass though the valve is shut: powder leaks, or the balance was set slower during the dose "
+        "and shows earlier powder late.",
+        "Hold a vessel under the cone, and empty it. Look for powder in the valve, or a fold or hole in the sheet. "
+        "If no powder leaks, check the balance's filter; then resume.",
         ("run",),
     ),
     Code.HAND_ROLLER_LOST: Failure(
-        "The roller's servo was without power, or is new here: nobody knows how far the sheet is rolled.",
-        "Begin or resume a run with a person at the cell: it asks how wide the cone's rim is.",
+        "The roller's servo was without power, or is new here: it is not known how far the sheet is rolled.",
+        "Begin or resume a run with a person at the cell. It asks how wide the cone's rim is.",
         ("devices",),
     ),
     Code.SCOOP_NOTHING: Failure(
-        "Scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
-        "See that the mortar holds what is written, at its station, that none bridges in the cone, that the sheet "
-        "opens when the valve's servo turns, and that the motor shakes; then resume, or, where the recipe went on "
-        "without the source, begin a new run of the samples that were not run.",
+        "Several scoops in a row from a source brought no powder that comes out. This run scoops from it no more.",
+        "Check that the mortar at its station holds the powder and mass that are entered, that no powder bridges "
+        "in the cone, that the sheet opens when the valve's servo turns, and that the motor shakes. Then resume. "
+        "If the recipe went on without the source, begin a new run with the samples that were not run.",
         ("run",),
     ),
     Code.SOURCE_EMPTY: Failure(
-        "The source holds less than a scoop can reach.",
+        "The source holds too little powder for a scoop to reach.",
         "Refill the mortar and correct the recipe's amount.",
     ),
     Code.DOSE_OVERSHOOT: Failure(
         "More than the target plus its tolerance has been dispensed; it cannot be taken back.",
-        "Discard and dose a new container, or accept the mass that was measured.",
+        "Discard the container and dose a new one, or accept the mass that was measured.",
     ),
     Code.DOSE_OVERSHOOTS: Failure(
-        "Samples in a row overshot, as many as the recipe's `overshoot_limit` allows: something is not what it was.",
-        "Look at the balance's filter (and say `scuhand-bt balance forget`), the valve and the powder; then resume.",
+        "As many samples in a row overshot as the recipe's `overshoot_limit` allows: something has changed.",
+        "Check the balance's filter (then `scuhand-bt balance forget`), the valve and the powder. Then resume.",
         ("run",),
     ),
     Code.DOSE_RUNAWAY: Failure(
-        "Far more than the target is in the container, and the valve is still open.",
-        "Discard the container's content; look whether the valve shuts, and whether the balance reads true.",
+        "The container holds far more than the target, and the valve is still open.",
+        "Discard the container's contents. Check whether the valve shuts, and whether the balance reads correctly.",
         ("run",),
     ),
     Code.DOSE_NOT_REACHED: Failure(
-        "The dose stopped outside its tolerance, as no dose takes more openings, longer, or more loads in vain; or it "
-        "broke off.",
-        "See that the mortar holds powder, and none bridges; controller `adaptive` gives up in time for another scoop.",
+        "The dose ended outside its tolerance: it took too many openings, too long, or too many loads that gave "
+        "nothing. Or it broke off.",
+        "Check that the mortar holds powder, and that none bridges in the cone. The controller `adaptive` gives up "
+        "in time for another scoop.",
         ("run",),
     ),
     Code.DOSE_TOO_SMALL: Failure(
-        "The target or its tolerance is below what the balance can tell.",
-        "Ask for a larger tolerance, or use a balance with a finer readability.",
+        "The target or its tolerance is too small for the balance.",
+        "Use a larger tolerance, or a balance with a finer readability.",
     ),
     Code.OPERATOR_REFUSED: Failure(
         "The operator answered no.",
@@ -302,13 +313,13 @@ CATALOGUE: Mapping[str, Failure] = {
         ("cell", "run"),
     ),
     Code.OPERATOR_ABSENT: Failure(
-        "A person was needed and none was there.",
+        "A person was needed, but nobody was there.",
         "Run with a person at the cell, or use the container changer.",
         ("run",),
     ),
     Code.WORKFLOW_TIMEOUT: Failure(
         "A part of the workflow took longer than its `timeout` allows.",
-        "Look at what it was waiting for; allow it more time if that was normal.",
+        "Look at what it was waiting for. If that was normal, allow more time.",
         ("tree",),
     ),
     Code.WORKFLOW_BAD_VALUE: Failure(
@@ -317,7 +328,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("tree",),
     ),
     Code.WORKFLOW_INVERTED: Failure(
-        "What stands under `invert` succeeded, and so `invert` failed.",
+        "The part of the workflow under `invert` succeeded, so `invert` failed.",
         "This is the workflow's own decision; see the workflow.",
         ("tree",),
     ),

@@ -15,7 +15,7 @@ class CheckValve(Skill[Millimetres]):
     failures: ClassVar = {
         "hand.valve_zero": Failure(
             "The shut valve does not stand at zero.",
-            "Look for powder in the valve; else calibrate `valve_map` of the hand in robot/cell.yaml.",
+            "Look for powder in the valve. If there is none, calibrate `valve_map` of the hand in robot/cell.yaml.",
         )
     }
     raises = ("hand.valve_zero",)

@@ -35,11 +35,11 @@ class CheckWeight(Skill[Milligrams]):
     zones = ("pan",)  # where a person reaches
     failures: ClassVar = {
         "balance.inaccurate": Failure(
-            "The balance does not weigh a check weight right.",
-            "Check that it is the right weight, clean and in the middle of the pan; adjust the balance.",
+            "The balance weighs a check weight wrong, by more than the tolerance.",
+            "Check that it is the right weight, clean and in the middle of the pan. Then adjust the balance.",
         ),
         "balance.not_bare": Failure(
-            "A container stands where a check weight is to be put.",
+            "A container stands on the pan, where the check weight is to be put.",
             "In the workflow, call `remove_container` before `check_weight`.",
         ),
     }
@@ -58,7 +58,7 @@ class CheckWeight(Skill[Milligrams]):
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
         if (container := cell.believed.pan) is not None:
-            raise SkillFailed("balance.not_bare", f"'{container.id}' is on the pan")
+            raise SkillFailed("balance.not_bare", f"'{container.id}' still stands on the pan")
         cell.balance_figures["check_weight_error_mg"] = None  # until it has passed again
         errors_mg = []
         for _ in range(self.times):
@@ -79,8 +79,8 @@ class CheckWeight(Skill[Milligrams]):
         if abs(error_mg) > self.tolerance_mg:
             raise SkillFailed(
                 "balance.inaccurate",
-                f"a check weight of {format_mass(self.weight_mg)} weighs {error_mg:+.1f} mg more, "
-                f"and may {self.tolerance_mg:g} mg",
+                f"the check weight of {format_mass(self.weight_mg)} is weighed wrong by {error_mg:+.1f} mg; "
+                f"{self.tolerance_mg:g} mg are allowed",
             )
         cell.balance_figures["check_weight_error_mg"] = error_mg
         return error_mg

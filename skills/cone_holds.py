@@ -36,11 +36,13 @@ class ConeHolds(Condition):
         if source is None or believed.cone_mg < enough_mg:
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if believed.is_load_doubted:
-            raise SkillFailed(Code.HAND_CONE_EMPTY, "the cone's load was other than believed: it is let out first")
+            raise SkillFailed(Code.HAND_CONE_EMPTY, "the cone's load was not as expected: it is let out first")
         if believed.load.is_rest:
-            raise SkillFailed(Code.HAND_CONE_EMPTY, "what is left in the cone comes only shaken: it is put away first")
+            raise SkillFailed(
+                Code.HAND_CONE_EMPTY, "the rest in the cone flows only when it is shaken: it is put away first"
+            )
         if source.powder.name != self.powder.name:
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.powder.name}, not {self.powder.name}")
         if self.lot not in (None, source.lot):
-            wanted = f"lot '{self.lot}'" if self.lot else "of a source that names no lot"
+            wanted = f"lot '{self.lot}'" if self.lot else "powder of a source without a lot"
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.sheet_key}, not {wanted}")

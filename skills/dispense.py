@@ -76,7 +76,7 @@ ROUNDS = 4
 
 def _untold(shown_mg: float) -> str:
     """What a failure says of powder that fell, but is no dose because the balance is not to be believed."""
-    return f"; it shows {shown_mg:.1f} mg in the container, which are not told as a dose"
+    return f". The balance shows {shown_mg:.1f} mg in the container; this does not count as a dose"
 
 
 def _known_controller(name: str) -> str:
@@ -128,7 +128,7 @@ class Dispense(Skill[Dose]):
         require_unchanged(cell)
         bracket = cell.believed.bracket
         if bracket is None or cell.believed.pan_empty_mg is None:
-            raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: `tare` comes before `dispense`")
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: put `tare` before `dispense`")
         self.request(cell)  # refuses what cannot be dosed before anything is weighed
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
@@ -228,14 +228,14 @@ class Dispense(Skill[Dose]):
         if len(seen) >= DIFFERENT_READINGS and step > 1:
             raise SkillFailed(
                 Code.BALANCE_COARSE,
-                f"all {len(seen)} readings of the dose that differ do so by multiples of {step * digit_mg:g} mg; "
-                f"robot/cell.yaml says a readability of {digit_mg:g} mg{_untold(shown_mg)}",
+                f"all {len(seen)} different readings of the dose are multiples of {step * digit_mg:g} mg apart, but "
+                f"robot/cell.yaml gives a readability of {digit_mg:g} mg{_untold(shown_mg)}",
             )
         if (held := held_mg(readings_mg, digit_mg)) > 0.0:
             raise SkillFailed(
                 Code.BALANCE_COARSE,
-                f"the display stood still in the dose, and then jumped by {held:.1f} mg: it holds what it shows"
-                f"{_untold(shown_mg)}",
+                f"the display stood still during the dose, and then jumped by {held:.1f} mg: the balance holds its "
+                f"display{_untold(shown_mg)}",
             )
 
     @staticmethod
@@ -273,8 +273,8 @@ class Dispense(Skill[Dose]):
         if container is not None and aside_mm > container.mouth_mm / 2:
             raise SkillFailed(
                 Code.ARM_NOT_OVER_PAN,
-                f"the cone's apex is {aside_mm:.0f} mm aside of the pan's middle, and the mouth of '{container.id}' is "
-                f"{container.mouth_mm:g} mm wide: `move_over` comes before `dispense`",
+                f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan, but the mouth of '{container.id}' "
+                f"is only {container.mouth_mm:g} mm wide: put `move_over` before `dispense` in the workflow",
             )
 
     def request(self, cell: Cell) -> DoseRequest:
@@ -283,7 +283,7 @@ class Dispense(Skill[Dose]):
         if self.tolerance_mg < balance.least_tolerance_mg:
             raise SkillFailed(
                 Code.DOSE_TOO_SMALL,
-                f"a tolerance of {self.tolerance_mg:g} mg cannot be told with a readability of "
+                f"a tolerance of {self.tolerance_mg:g} mg is too small for a balance with a readability of "
                 f"{balance.readability_mg:g} mg",
             )
         source = self._source(cell)
@@ -292,8 +292,8 @@ class Dispense(Skill[Dose]):
         if container is not None and volume_mm3 > container.capacity_mm3:
             raise SkillFailed(
                 Code.CONTAINER_TOO_SMALL,
-                f"{self.mass_mg:g} mg of {powder.name} are with the tolerance up to {volume_mm3 / 1000:.3f} cm³; "
-                f"'{container.id}' holds {container.capacity_mm3 / 1000:.3f} cm³",
+                f"{self.mass_mg:g} mg of {powder.name} plus the tolerance take up to {volume_mm3 / 1000:.3f} cm³, but "
+                f"'{container.id}' holds only {container.capacity_mm3 / 1000:.3f} cm³",
             )
         return DoseRequest(
             target_mg=self.mass_mg,
@@ -367,7 +367,7 @@ class Dispense(Skill[Dose]):
             raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
         if run.finish.reason == "rest":
             cell.believed.rest_left()
-            raise SkillFailed(Code.HAND_CONE_EMPTY, f"{reached}; what is left in the cone comes only shaken")
+            raise SkillFailed(Code.HAND_CONE_EMPTY, f"{reached}; the rest in the cone flows only when it is shaken")
         if run.finish.reason == "step_limit":
             pulses = counted(dose.pulses, "pulse")
             raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.duration_s / 60.0:.0f} min, in {pulses}")
@@ -384,17 +384,17 @@ class Dispense(Skill[Dose]):
         lacked_mg = -dose.error_mg if has_begun else math.inf
         believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow", lacked_mg=lacked_mg)
         if source.name in believed.barren_sources:
-            barren = f"{believed.barren[source.name].loads} loads in a row from '{source.name}' have brought nothing"
-            left = f"{format_mass(believed.sources_mg.get(source.name, 0.0))} should be left in it"
-            done = f"{barren}, open and shaken; it is not scooped from any more"
-            mended = "if they stand at the sides, level them, if they bridge in the cone, dry or sieve them"
-            less = "if there is less, correct the recipe's amount or refill it"
-            hand = "look whether the sheet opens and the motor shakes, as no weighing tells"
-            return SkillFailed(Code.SCOOP_NOTHING, f"{done}. {left}: {less}, {mended}; {hand}; and begin a new run")
+            left = format_mass(believed.sources_mg.get(source.name, 0.0))
+            return SkillFailed(
+                Code.SCOOP_NOTHING,
+                f"{believed.barren[source.name].loads} loads in a row from '{source.name}' brought nothing. {left} "
+                "should be left. If there is less, refill it or correct the recipe's amount. If the powder stands at "
+                "the sides, level it; if it bridges, dry or sieve it. Check that the sheet opens and the motor shakes",
+            )
         if believed.dosing.in_vain >= LAST_LOADS:
-            what = f"{LAST_LOADS} loads in a row, open and shaken, have given nothing of the last {lacked_mg:.1f} mg"
-            return SkillFailed(Code.DOSE_NOT_REACHED, f"{reached}: {what}")
+            what = f"{LAST_LOADS} loads in a row brought nothing of the last {lacked_mg:.1f} mg"
+            return SkillFailed(Code.DOSE_NOT_REACHED, f"{reached}: {what} (valve open, motor shaking)")
         if not believed.is_load_doubted:
             return SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
-        came = f"of its load {max(came_mg, 0.0):.0f} mg have come, and it should hold {held_mg:.0f} mg more"
-        return SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, open and shaken: {came}")
+        came = f"{max(came_mg, 0.0):.0f} mg of this load have come, and the cone should hold {held_mg:.0f} mg more"
+        return SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached} (valve open, motor shaking): {came}")

@@ -72,7 +72,7 @@ class PlaceContainer(Skill[None]):
                 Code.CONTAINER_MISSING, f"the pan gained {mass_mg / 1000:.3f} g; no {container.name} stands on it"
             )
         if abs(mass_mg - held_mg - container.empty_mass_mg) > container.empty_mass_tolerance_mg:
-            holding = f", and has got {held_mg / 1000:.3f} g before" if held_mg > 0.0 else ""
+            holding = f", and {held_mg / 1000:.3f} g were dosed into this one before" if held_mg > 0.0 else ""
             raise SkillFailed(
                 Code.CONTAINER_WRONG_MASS,
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
@@ -100,7 +100,7 @@ class PlaceContainer(Skill[None]):
         if not before.doses:
             raise SkillFailed(Code.CONTAINER_CHANGED, f"'{container}' was on the pan before: {before.detail}")
         if not cell.changer.needs_person and container not in cell.believed.slots:
-            refilled = "the changer was filled again since, and what is in its slot is another"
+            refilled = "the changer was filled again since then, so its slot holds another container"
             raise SkillFailed(Code.CONTAINER_CHANGED, f"'{container}' was on the pan before: {refilled}")
 
     def _exchanged(self, cell: Cell) -> Steps[StableMean]:
@@ -142,7 +142,7 @@ class PlaceContainer(Skill[None]):
         why = f"all {slots}{of_kind} containers are used"
         if used < slots:
             many = sum(not kind or one == kind for one in self._kinds(cell))
-            why = f"it has {slots - used} of {slots}{of_kind} containers left, and this sample takes {many}"
+            why = f"it has {slots - used} of {slots}{of_kind} containers left, and this sample needs {many}"
         answer = yield from cell.operator.ask(f"Fill the changer, from its first slot on: {why}.")
         if answer != "done":
             raise SkillFailed(Code.OPERATOR_REFUSED, "the changer was not filled")

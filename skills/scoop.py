@@ -115,7 +115,8 @@ class Scoop(Skill[Milligrams]):
         believed = cell.believed
         if believed.sheet not in (None, self.source.sheet_key):
             raise SkillFailed(
-                Code.HAND_WRONG_POWDER, f"the sheet has touched {believed.sheet}, not {self.source.sheet_key}"
+                Code.HAND_WRONG_POWDER,
+                f"the sheet has touched {believed.sheet}; swap it before {self.source.sheet_key}",
             )
 
     def _bed(self, cell: Cell) -> AnyBed:
@@ -173,15 +174,16 @@ class Scoop(Skill[Milligrams]):
     def _out_of_reach(self, in_mortar_mg: float, *, was_scooped_from: bool) -> SkillFailed:
         """The failure of a jar in which powder is left, but next to none where strokes go."""
         source = self.source
-        left = f"of the {format_mass(in_mortar_mg)} that are believed to be in '{source.name}'"
-        lies = "before the jar's wall and beside the strokes" if was_scooped_from else "too thin on the jar's floor"
+        lies = (
+            "in front of the jar's wall and beside the strokes" if was_scooped_from else "too thin on the jar's floor"
+        )
         lot = f" --lot {source.lot}" if source.lot else ""
         say_so = f"scuhand-bt inventory set {source.station} MASS --powder {source.powder.name}{lot}"
         return SkillFailed(
             Code.SOURCE_EMPTY,
-            f"{left} a stroke would bring less than {format_mass(LEAST_MG)}: they lie {lies}. Pour more into the "
-            f"middle, say how much there is then ({say_so}) and resume; or spread what is there, and begin a new run, "
-            "which takes it to be level",
+            f"a stroke in '{source.name}' would bring less than {format_mass(LEAST_MG)}. {format_mass(in_mortar_mg)} "
+            f"should be left, but they lie {lies}. Pour more powder into the middle, enter the new mass ({say_so}) and "
+            "resume. Or spread the powder, and begin a new run, which assumes that it lies level",
         )
 
     def _planned(self, cell: Cell, candidates: Iterator[Stroke]) -> "tuple[Stroke, StoppableTrajectory]":

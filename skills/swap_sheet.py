@@ -29,8 +29,8 @@ class SwapSheet(Skill[None]):
         yield from cell.move_to(service[0] if service else cell.spec.station_of_kind("park").name)
         mounted_mm = cell.spec.hand.options.start_diameter_mm
         answer = yield from cell.operator.ask(
-            f"Put a fresh sheet into the hand, its rim {mounted_mm:g} mm wide, and wipe both rollers and the clamp: "
-            f"they and this sheet have touched {believed.sheet}."
+            f"Put a fresh sheet into the hand, with a rim of {mounted_mm:g} mm. Wipe both rollers and the clamp: "
+            f"they and the old sheet have touched {believed.sheet}."
         )
         if answer != "done":
             raise SkillFailed(Code.OPERATOR_REFUSED, "the sheet was not swapped")

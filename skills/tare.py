@@ -25,7 +25,7 @@ class Tare(Skill[Milligrams]):
     def run(self, cell: Cell) -> Steps[Milligrams]:
         require_unchanged(cell)
         if cell.believed.weighed_container is None or cell.believed.bracket is None:
-            raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `tare`")
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed: put `place_container` before `tare`")
         yield from weigh_broken_off(cell)
         require_unchanged(cell)
         bracket = cell.believed.bracket

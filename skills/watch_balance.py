@@ -40,7 +40,8 @@ class WatchBalance(Skill[Milligrams]):
         if span_mg > self.limit_mg:
             raise SkillFailed(
                 Code.BALANCE_UNSTABLE,
-                f"its readings went {span_mg:.1f} mg apart in {self.duration_s:g} s, and may {self.limit_mg:g} mg",
+                f"the readings differed by up to {span_mg:.1f} mg in {self.duration_s:g} s; {self.limit_mg:g} mg are "
+                "allowed",
             )
         return span_mg
 

@@ -20,7 +20,7 @@ class Weigh(Skill[Weighed]):
         require_unchanged(cell)
         bracket, digit_mg = cell.believed.bracket, cell.spec.balance.readability_mg
         if cell.believed.weighed_container is None or bracket is None:
-            raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `weigh`")
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed: put `place_container` before `weigh`")
         earlier, mean = yield from weigh_until_still(cell, bracket.last, STILL_DIGITS * digit_mg, may_gain=True)
         now = weighing_of(mean)
         gained, _ = dose_between(((bracket.loaded, bracket.loaded), (earlier, now)), digit_mg)

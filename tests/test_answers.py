@@ -151,7 +151,7 @@ def test_the_first_answer_counts_and_none_is_taken_for_the_next_questions(run: R
         threading.Thread(target=late).start()
 
     assert go(run, answer).exit_code == 0
-    assert said == [HEARD, "it was answered already", "it is not the question that waits now", HEARD]
+    assert said == [HEARD, "it was answered already", "another question is waiting now", HEARD]
     assert [(one["answer"], one["by"]) for one in told(run, "answered")] == [("done", "Eve"), ("done", "Bob")]
 
 
@@ -219,8 +219,8 @@ def test_another_user_of_the_computer_answers_only_with_a_pin(tmp_path: Path) ->
 
         return say
 
-    assert "only the person whose run it is can answer" in as_nobody(says(None, None))
-    assert "only the person whose run it is can answer" in as_nobody(says("Bob", None))
+    assert "only the user who started the run, or a person with a PIN, may answer" in as_nobody(says(None, None))
+    assert "only the user who started the run, or a person with a PIN, may answer" in as_nobody(says("Bob", None))
     assert control.questions.waiting is not None
     assert as_nobody(says("Eve", "271828")) == "ok"
     given = control.questions.given()

@@ -258,7 +258,7 @@ def test_a_balance_too_slow_to_dose_with_is_refused_before_powder_falls(tmp_path
     assert ran.sample("a").true_mg == pytest.approx(500.0, abs=3.0)
     assert [sample.code for sample in ran.result.samples][1:] == 3 * ["balance.slow"]
     assert [ran.sample(name).true_mg for name in "bcd"] == [0.0, 0.0, 0.0]
-    assert "it showed the container 7.0 s late; up to 6.2 s are dosed with" in (ran.sample("b").detail or "")
+    assert "the balance showed the container 7.0 s late; for a dose 6.2 s are allowed" in (ran.sample("b").detail or "")
 
 
 @pytest.mark.slow

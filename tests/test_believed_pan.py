@@ -235,7 +235,7 @@ def test_a_bracket_is_believed_only_once_one_has_closed_since_the_zero_stepped()
         "d": False,
         "e": True,
     }
-    assert told["a"][1] == "the balance's zero has stepped of late, or the bracket before did not close; it closes"
+    assert told["a"][1] == "the balance's zero has stepped recently, or the bracket before did not close; it closes"
 
 
 def test_of_all_steps_that_were_seen_the_largest_stays() -> None:

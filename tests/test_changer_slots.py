@@ -156,8 +156,8 @@ def checked(lab_folder: LabFolder, slots: str) -> list[tuple[str, str]]:
 @pytest.mark.parametrize(
     ("slots", "visits"),
     [
-        ("5", [("c", "1 of 5 containers left"), ("d", "2 of 5 containers left, and this sample takes 3")]),
-        ("{xrd_holder: 4, pellet_die_13mm: 9}", [("c", "1 of 4 xrd_holder containers left, and this sample takes 2")]),
+        ("5", [("c", "1 of 5 containers left"), ("d", "2 of 5 containers left, and this sample needs 3")]),
+        ("{xrd_holder: 4, pellet_die_13mm: 9}", [("c", "1 of 4 xrd_holder containers left, and this sample needs 2")]),
         ("2", [("b", "all 2"), ("c", "all 2"), ("c", "all 2"), ("d", "all 2")]),
     ],
     ids=["in order", "by kind", "fewer than a sample takes"],

@@ -424,5 +424,5 @@ def test_a_further_device_that_moves_on_after_the_job_is_stopped_and_said(bench:
     bench.cell.devices = {**bench.cell.devices, "bar": BAR}
     outcome = bench.run("knocks:", {"knocks": Knocks})
     assert outcome.failure is not None
-    assert "bar moved on" in outcome.failure.detail
+    assert "bar still moved" in outcome.failure.detail
     assert BAR.stops > 0

@@ -153,7 +153,7 @@ def test_what_would_leave_a_joints_limits_is_refused_before_anything_moves(bench
     beyond = Sway(here, np.where(np.arange(7) == 5, math.pi / 2 - here[5] + 0.02, 0.0), 1.0)
     said = refusal(bench, beyond)
     assert said.startswith("arm.joint_limit: joint 6 would go to 9")
-    assert said.endswith("°, and may go from -90.0° to 90.0°")
+    assert said.endswith("°; only -90.0° to 90.0° are allowed")
 
 
 def test_an_arm_that_moves_takes_no_other_motion(bench: Any) -> None:

@@ -210,7 +210,7 @@ def test_a_course_that_begins_with_another_rim_is_refused_and_nothing_moves(benc
     bench.run(hand.morph(88.0))
     says = (
         rf"arm\.not_following: the course begins 7\d\.\d° from where the roller stands: "
-        rf"with a rim of {begins_mm:.1f} mm, and the cone's is 88\.0 mm"
+        rf"with a rim of {begins_mm:.1f} mm, but the cone's rim is 88\.0 mm"
     )
     with pytest.raises(SkillFailed, match=says):
         hand.start_rolling(course(hand.spec, begins_mm, 84.0))

@@ -171,7 +171,7 @@ def test_pieces_are_no_mass() -> None:
         bench.reads(12_345.6)
         bench.twin.streaming = False
         bench.server.say(b"QT,+00000123 PC\r\n")
-        with pytest.raises(SkillFailed, match="'PC', which is no mass"):
+        with pytest.raises(SkillFailed, match="'PC' \\(not a unit of mass\\)"):
             carry_out(bench.balance.next_reading(timeout_s=0.5), bench.clock)
 
 
@@ -192,7 +192,7 @@ def test_lines_of_no_known_format_are_shown_as_they_came(monkeypatch: pytest.Mon
         bench.reads(12_345.6)
         bench.twin.format = "MT"  # type: ignore[attr-defined]
         with pytest.raises(
-            SkillFailed, match=r"no line of A&D, such as 'S +12\.3456 g'; set the balance to that format"
+            SkillFailed, match=r"not in the format A&D, such as 'S +12\.3456 g'; set the balance to that format"
         ):
             bench.read_on()
         bench.twin.format = "A&D"  # type: ignore[attr-defined]

@@ -161,7 +161,10 @@ def test_a_zero_that_falls_while_powder_comes_is_remembered_unless_it_is_shaken(
 
 @pytest.mark.parametrize(
     ("digit_mg", "why"),
-    [(2.0, "by multiples of 2 mg; robot/cell.yaml says a readability of 0.1 mg"), (0.1, "the display stood still")],
+    [
+        (2.0, "are multiples of 2 mg apart, but robot/cell.yaml gives a readability of 0.1 mg"),
+        (0.1, "the display stood still"),
+    ],
 )
 def test_a_display_of_coarser_digits_stands_still_between_them_and_is_told_for_what_it_is(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, digit_mg: float, why: str
@@ -258,10 +261,10 @@ def test_a_dose_that_ended_for_another_reason_is_not_gone_on_with(rig: Rig) -> N
 
 def test_what_is_left_of_a_load_for_a_fresh_one_stays_in_the_cone_and_tells_nothing_of_scoops(rig: Rig) -> None:
     believed = rig.cell.believed
-    with pytest.raises(SkillFailed, match=r"hand\.cone_empty: 20\.0 mg of 50 mg; what is left in the cone comes only"):
+    with pytest.raises(SkillFailed, match=r"hand\.cone_empty: 20\.0 mg of 50 mg; the rest in the cone flows only"):
         rig.dispense(20.0, 30.0, reason="rest")
     assert (believed.cone_mg, believed.cone_source, believed.yields) == (2980.0, "store", {})
-    with pytest.raises(SkillFailed, match=r"hand\.cone_empty: what is left in the cone comes only shaken"):
+    with pytest.raises(SkillFailed, match=r"hand\.cone_empty: the rest in the cone flows only when it is shaken"):
         rig.skill("cone_holds", powder=BEADS, wanted_mg=TARGET_MG).check(rig.cell)
     believed.emptied()
     believed.cone_holds(rig.cell.sources["store"], 3000.0)
@@ -384,14 +387,17 @@ def test_what_a_balance_that_is_not_believed_shows_of_a_dose_is_said_though_it_i
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("scuhand_bt.cell.pan_cleared.is_frozen", lambda readings_mg, digit_mg: True)
-    with pytest.raises(SkillFailed, match=r"balance\.coarse: .*; it shows 50\.0 mg in the container, which are no"):
+    with pytest.raises(
+        SkillFailed, match=r"balance\.coarse: .*\. The balance shows 50\.0 mg in the container; this does not count"
+    ):
         rig.dispense(50.0)
 
 
 def test_the_valve_stays_shut_where_the_cone_is_not_over_the_containers_mouth(rig: Rig) -> None:
     """330 mm out, and the mouth is 55 mm wide; a real arm is a few aside of where it was sent."""
     rig.bench.cell.arm.hold([0.09, *OVER_PAN[1:]])  # type: ignore[attr-defined]
-    with pytest.raises(SkillFailed, match=r"arm\.not_over_pan: the cone's apex is 30 mm aside .* is 55 mm wide"):
+    said = r"arm\.not_over_pan: the cone's apex is 30 mm from the middle of the pan, but .* is only 55 mm wide"
+    with pytest.raises(SkillFailed, match=said):
         rig.dispense(50.0)
     assert rig.brings == [50.0], "nothing was let out"
     assert rig.kept(Dose) == []
@@ -401,7 +407,7 @@ def test_the_valve_stays_shut_where_the_cone_is_not_over_the_containers_mouth(ri
 
 def test_two_loads_that_brought_nothing_are_told_as_such(rig: Rig) -> None:
     for code in (
-        r"hand\.no_flow: .* of its load 0 mg have come, and it should hold 3000 mg more",
+        r"hand\.no_flow: .* 0 mg of this load have come, and the cone should hold 3000 mg more",
         r"scoop\.nothing: 2 ",
     ):
         rig.cell.believed.emptied()
@@ -424,7 +430,7 @@ def test_a_load_after_one_that_brought_nothing_is_not_shaken_for_as_long_while_a
 
 def test_a_zero_that_has_sunk_is_no_powder_that_went_back(rig: Rig) -> None:
     rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
-    with pytest.raises(SkillFailed, match=r"of its load 0 mg have come"):
+    with pytest.raises(SkillFailed, match=r" 0 mg of this load have come"):
         rig.dispense(-0.3, reason="no_flow")
 
 
@@ -449,7 +455,7 @@ def test_loads_that_go_on_giving_nothing_of_what_little_a_dose_lacks_end_it_and_
             rig.dispense(brings_mg, reason="no_flow")
         codes.append(failed.value.code)
     assert codes == [*["hand.no_flow"] * 5, "dose.not_reached"]
-    assert str(failed.value).endswith("4 loads in a row, open and shaken, have given nothing of the last 8.0 mg")
+    assert str(failed.value).endswith("4 loads in a row brought nothing of the last 8.0 mg (valve open, motor shaking)")
     assert rig.cell.believed.barren_sources == set()
 
 
@@ -551,6 +557,8 @@ def test_a_container_that_weighs_less_after_a_dose_broke_off_is_another_one(rig:
     if skill == "dispense":
         assert believed.bracket is not None, "a resumed run may find that it was the balance"
         return
-    with pytest.raises(SkillFailed, match="was on the pan before: since it was last weighed"):
+    with pytest.raises(
+        SkillFailed, match=r"was on the pan before: 'dish' has gained -30\.0 mg since it was last weighed, but only"
+    ):
         rig.bench.drive(rig.skill("place_container", container=DISH).run(rig.cell))
     assert [closed.closes for closed in believed.closed] == [False]

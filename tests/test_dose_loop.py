@@ -243,7 +243,7 @@ def test_a_pan_that_loses_what_a_lump_may_have_feigned_goes_on() -> None:
 
 def test_a_pan_that_loses_more_three_times_running_has_lost_its_container() -> None:
     loop = streaming(0.0, 100.0, 49.0, 49.0, 49.0, 49.0)
-    with pytest.raises(SkillFailed, match=r"container\.moved: the pan shows 51 mg less than it has shown in this dose"):
+    with pytest.raises(SkillFailed, match=r"container\.moved: the pan shows 51 mg less than earlier in this dose"):
         loop.run()
     assert len(loop.pan.timeouts_s) == 5, "at the third reading"
     assert loop.valve.told[-1] == "stop"

@@ -212,7 +212,7 @@ def test_as_many_doses_as_are_sure_come_of_a_jar_by_the_height_field(is_discarde
 def test_a_jar_that_the_hand_has_no_way_in_is_refused_with_what_would_do(vessel: Mortar) -> None:
     with pytest.raises(
         NoStrokeError,
-        match=r"no way along the floor .*; a bore of (\d+) mm \(if there is room for it\) or a depth of (\d+) mm",
+        match=r"cannot move along the floor .*; a bore of (\d+) mm \(if there is room for it\) or a depth of (\d+) mm",
     ) as no:
         bed_in(vessel, 12_000.0).chosen(LOAD_MG, 0.0)
     bore_mm, depth_mm = (float(part.split()[0]) for part in str(no.value).split(" of ")[-2:])

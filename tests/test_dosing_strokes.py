@@ -193,7 +193,7 @@ def test_a_stroke_is_chosen_for_the_cells_own_hand() -> None:
 
 def test_a_bowl_in_which_the_lip_comes_beyond_the_middle_is_refused() -> None:
     bowl = Mortar(name="bowl", bore_mm=54.0, depth_mm=26.7, height_mm=35.0, outer_diameter_mm=72.0)
-    with pytest.raises(NoStrokeError, match="beyond its middle, past the powder"):
+    with pytest.raises(NoStrokeError, match="beyond the middle, past the powder"):
         chosen(Bed(bowl, 2900.0, BEADS), LADLE, 3800.0)
 
 
@@ -217,7 +217,7 @@ def test_of_the_last_of_a_small_bowl_a_little_is_taken_where_there_is_no_stroke_
     """The last sample was lost to arm.no_path, with half a gram in the mortar, of which strokes bring a fifth each."""
     bowl = Mortar(name="small", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0)
     bed = Bed(bowl, 493.0, POWDERS["monosodium_glutamate"], Layer(gap_mm=0.1, mass_mg=29.1, beside_mg=635.4))
-    with pytest.raises(NoStrokeError, match="beyond its middle, past the powder"):
+    with pytest.raises(NoStrokeError, match="beyond the middle, past the powder"):
         chosen(bed, LADLE, 490.0)
     stroke = next(strokes_for_less(bed, LADLE, 1960.0, [90.0]))
     assert expected_mg(stroke, bed, LADLE.slant_mm) == pytest.approx(99.0, abs=1.0)
@@ -473,9 +473,9 @@ def test_of_grains_as_coarse_as_the_bed_is_thick_a_thinner_layer_is_left_but_nev
         assert stroke.gap_mm > 3.0, "a grain passes"
         assert expected_mg(stroke, bed, SHEET_MM) > 30.0
     pebbles = BEADS.model_copy(update={"grain_mm": 15.0})
-    with pytest.raises(NoStrokeError, match="less thick than one of them"):
+    with pytest.raises(NoStrokeError, match="thinner than one grain of 15 mm"):
         chosen(Bed(MORTAR, 6000.0, pebbles), LADLE, 2000.0)
-    said = r"500\.0 mg of grains of 3 mm lie less thick than one of them, and no more than 25\.0 mg may be taken"
+    said = r"500\.0 mg of powder lie thinner than one grain of 3 mm, and at most 25\.0 mg may be taken"
     with pytest.raises(NoStrokeError, match=said):
         chosen(Bed(MORTAR, 500.0, coarse), LADLE, 25.0)
 

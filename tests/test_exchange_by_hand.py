@@ -100,7 +100,7 @@ def test_who_puts_the_next_one_on_too_soon_is_told_to_take_it_off_again(session:
     result, events = ran(session)
     assert [one.verdict for one in result.samples] == ["in tolerance"] * 2
     assert taken_off[:2] == ["one-1", "one-2"]
-    assert ("The pan", "done") in said(events)
+    assert ("Take everything", "done") in said(events)
 
 
 class Asking:

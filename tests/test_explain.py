@@ -55,8 +55,8 @@ def test_a_dose_that_was_not_reached_asks_for_nothing_that_a_lab_cannot_set(expl
 def test_a_leak_that_is_none_is_said_to_be_a_balance_that_was_set_slower(explain: Call) -> None:
     """So one of 3 s a pole passes that was 0.3 s as the valve opened."""
     said = " ".join(explain("hand.leak")[1].split())
-    assert "or late, on a balance that was set slower in the dose" in said
-    assert "Where nothing runs, look at the balance's filter; then resume." in said
+    assert "or the balance was set slower during the dose and shows earlier powder late" in said
+    assert "If no powder leaks, check the balance's filter; then resume." in said
 
 
 def test_what_devices_raise_is_said_to_come_from_any_skill(explain: Call) -> None:

@@ -35,7 +35,7 @@ def test_of_two_resumes_the_one_that_waited_at_its_prompt_while_the_other_dosed_
     waiting = resumable(run.journal, checked_history(run.journal), plan, lab, accept_changes=False)
     run.go(Watch("stop_now", 60), resumes=True)
     before = actions(run.journal)
-    with pytest.raises(SourceError, match="another process has continued it meanwhile"):
+    with pytest.raises(SourceError, match="has gone on with it meanwhile"):
         Session(plan, lab, Options(DryRun(), folder=run.folder), resumes=waiting)
     assert actions(run.journal) == before
     assert not is_held(run.journal)

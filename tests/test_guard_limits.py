@@ -140,7 +140,9 @@ def test_it_has_run_away_after_two_seconds_and_says_what_it_saw(scene: Scene) ->
     assert scene.shows(500.0) is None
     assert scene.shows(500.0, 1.99) is None
     fault = scene.shows(503.0, 0.02)
-    assert str(fault) == "dose.runaway: 503 mg of 20 mg are in the container, and the valve stands at 1.23 mm"
+    assert (
+        str(fault) == "dose.runaway: the container holds 503 mg, the target is 20 mg, and the valve is open by 1.23 mm"
+    )
 
 
 def test_exactly_two_seconds_are_enough(scene: Scene) -> None:
@@ -214,7 +216,7 @@ def test_a_steady_leak_is_found_after_nine_averages_and_its_rate_is_said(scene: 
     assert scene.trips(rising(1.5)) == pytest.approx(FOUND_S)
     scene = Scene()
     faults = [fault for mg in rising(1.5) if (fault := scene.shows(mg)) is not None]
-    assert str(faults[0]) == "hand.leak: the valve is shut, and the pan below it gains 1.5 mg/s"
+    assert str(faults[0]) == "hand.leak: the valve is shut, but the pan below it gains 1.5 mg/s"
 
 
 @pytest.mark.parametrize(("rate", "is_leak"), [(0.99, False), (1.01, True), (-1.5, False)])

@@ -73,7 +73,7 @@ def test_too_little_for_the_samples_is_said(desk: Desk) -> None:
     scarce = RECIPE.replace("amount: 5 g", "amount: 150 mg")
     (refused,) = noted(desk, powder(140.0), recipe=scarce)
     assert refused.endswith(
-        "refill it, and record that: scuhand-bt inventory set mortar_bay '150 mg' --powder glass_beads --lot L7"
+        "refill it, and enter that: scuhand-bt inventory set mortar_bay '150 mg' --powder glass_beads --lot L7"
     )
     assert problems_of(lambda: require_resolvable(_doubts(desk, powder(140.0), recipe=scarce), unattended=False))
 
@@ -202,7 +202,7 @@ def test_a_fresh_sheet_is_as_wide_as_it_is_mounted_whatever_the_roller_has_made_
     operator = Answering("fresh")
     settled(cell, desk, operator, StockEntry("sheet", "", "glass_beads", "L8", used=4))
     assert cell.hand.cone_diameter_mm == 90.0
-    assert operator.asked[0][0].endswith("Is a fresh one in the hand now, its rim 90 mm wide?")
+    assert operator.asked[0][0].endswith("Is a fresh sheet in the hand now, with a rim of 90 mm?")
 
 
 @pytest.mark.slow
@@ -220,7 +220,5 @@ def test_of_a_fresh_sheet_that_was_entered_it_is_asked_what_the_roller_has_made_
     for _ in resolve(cell, about_rim(cell, stock_of(entered))):
         pass
     assert cell.hand.cone_diameter_mm == rim_mm
-    question = (
-        "A fresh sheet was entered. How wide is its rim: 90 mm, as it is mounted, or 48 mm, to which it was rolled"
-    )
-    assert operator.asked == [(f"{question} since?", ("mounted", "rolled", "stop"))]
+    question = "A fresh sheet was entered. How wide is its rim: 90 mm as mounted, or 48 mm as the roller says?"
+    assert operator.asked == [(question, ("mounted", "rolled", "stop"))]

@@ -92,7 +92,7 @@ def test_a_jar_that_gives_no_more_is_told_to_be_out_of_reach_and_not_of_no_flow(
     assert len(good) >= 4
     assert {sample.verdict for sample in good} == {"in tolerance"}
     assert last.code == "source.empty"
-    assert "before the jar's wall and beside the strokes" in (last.detail or "")
+    assert "in front of the jar's wall and beside the strokes" in (last.detail or "")
     assert "inventory set mortar_bay MASS --powder monosodium_glutamate --lot L-1" in (last.detail or "")
     assert failures(ran)["hand.no_flow"] == 0
 
@@ -105,8 +105,8 @@ def test_check_counts_on_no_more_of_a_jar_than_its_strokes_bring(
     problems = found(lab_folder, jar(), recipe([500.0] * doses))
     assert [problem.mark.file.endswith("jar.yaml") for problem in problems] == [True] * (not is_enough)
     for problem in problems:
-        assert re.search(r"of 12.0000 g in this jar .* are sure to bring 5 of its doses \(2\.6", problem.message)
-        assert "and 7 (3.6400 g) are needed; the rest lies before the wall" in problem.message
+        assert re.search(r"are sure to bring 5 of its doses \(2\.6.* of 12\.0000 g in this jar, ", problem.message)
+        assert "but 7 (3.6400 g) are needed. The rest lies in front of the wall" in problem.message
 
 
 @pytest.mark.slow
@@ -117,8 +117,8 @@ def test_check_counts_what_is_thrown_away_of_a_jar(lab_folder: LabFolder, doses:
     assert len(problems) == (not is_enough)
     for problem in problems:
         assert "bring 3 of its doses (" in problem.message
-        assert "are needed, what is left of each load is thrown away" in problem.message
-        assert "write `leftover: return`, with which all are, fill in more" in problem.message
+        assert "are needed, and what is left of each load is thrown away" in problem.message
+        assert "Write `leftover: return`, with which all doses are sure, fill in more" in problem.message
 
 
 def test_a_jar_is_refilled_before_the_first_dose_that_is_not_sure_to_come(lab_folder: LabFolder) -> None:
@@ -150,7 +150,7 @@ def test_a_jar_that_is_refilled_loses_no_dose(tmp_path: Path) -> None:
     [
         (
             jar(bore_mm=60.0),
-            "no way along the floor of a jar of 60 mm bore .*; a bore of 75 mm \\(if there is room for it\\)",
+            "cannot move along the floor of a jar of 60 mm bore .*; a bore of 75 mm \\(if there is room for it\\)",
         ),
         (jar(depth_mm=70.0), "flange and mortar_bay wall"),
         (jar(floor_mm=3.0), r"With 'mortar_bay' at \[200 mm, 240 mm, 20 mm\], on a stand of 20 mm, it can scoop there"),

@@ -355,5 +355,5 @@ def test_a_journal_of_version_1_is_read_as_one_of_today_and_not_touched(old_run:
 
 
 def test_a_run_of_version_1_is_not_resumed(old_run: Path) -> None:
-    with pytest.raises(SourceError, match=r"an older scuhand-bt wrote it.*start a new run, with the samples"):
+    with pytest.raises(SourceError, match=r"an older scuhand-bt wrote it.*start a new run"):
         checked_history(old_run)

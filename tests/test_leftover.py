@@ -224,7 +224,9 @@ def test_the_report_counts_the_sheets_that_have_touched_each_lot(tmp_path: Path)
 def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_record_has_which(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, two_lots())
     (asked,) = events(ran, "asked")
-    assert "wipe both rollers and the clamp: they and this sheet have touched glass_beads" in str(asked[1]["question"])
+    assert "Wipe both rollers and the clamp: they and the old sheet have touched glass_beads" in str(
+        asked[1]["question"]
+    )
     assert [payload["touched"] for _, payload in events(ran, "sheet")] == ["glass_beads"]
 
 

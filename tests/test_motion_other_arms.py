@@ -194,7 +194,7 @@ def test_why_a_pose_cannot_be_reached_is_told():
     arm = ARMS["seven"]
     _, mount = kinematics(arm)
     far = unreachable_reason(ApexPose(np.array([3.0, 0.0, 0.2])), mount, arm.limits_rad)
-    assert re.search(r"no angles of its joints bring it there; stretched, it reaches \d+ mm", str(far))
+    assert re.search(r"no joint angles reach it; stretched, the arm reaches \d+ mm", str(far))
     narrow = arm.limits_rad.copy()
     narrow[:, 3] = -0.19, 0.0
     assert "joint 4 would be at" in str(unreachable_reason(ApexPose(np.array([0.8, 0.0, 0.2])), mount, narrow))

@@ -167,7 +167,7 @@ def test_a_contact_path_does_not_begin_inside_something(planner):
 
 def test_a_pose_out_of_reach_is_refused_with_the_nearest_one(planner):
     for far_m in (0.7, 3.0):
-        with pytest.raises(SkillFailed, match="nearest apex position") as failed:
+        with pytest.raises(SkillFailed, match="nearest position that the apex can reach") as failed:
             planner.move(planner.home(), ApexPose(np.array([far_m, 0.0, 0.1])))
     assert failed.value.code == "arm.unreachable"
 
@@ -175,9 +175,9 @@ def test_a_pose_out_of_reach_is_refused_with_the_nearest_one(planner):
 def test_the_nearest_one_can_be_taken_as_it_is_written(planner):
     # On the edge of what the arm reaches: rounded by less than half a millimetre it is out of reach again.
     for far in ([0.5247025, -0.2738464, 0.47368276], [0.61890997, -0.32636175, 0.52342386], [0.7, 0.0, 0.1]):
-        with pytest.raises(SkillFailed, match="nearest apex position") as failed:
+        with pytest.raises(SkillFailed, match="nearest position that the apex can reach") as failed:
             planner.move(planner.home(), ApexPose(np.array(far)))
-        x, y, z = re.search(r"it can take is \((-?\d+), (-?\d+), (-?\d+)\) mm", failed.value.detail).groups()
+        x, y, z = re.search(r"the apex can reach is \((-?\d+), (-?\d+), (-?\d+)\) mm", failed.value.detail).groups()
         taken = planner.move(planner.home(), ApexPose(np.array([float(x), float(y), float(z)]) / 1e3))
         assert taken.duration_s > 0
 
@@ -186,7 +186,7 @@ def test_the_nearest_one_can_be_taken_as_it_is_written(planner):
 def test_a_start_inside_something_is_refused_by_name(planner, turn_rad):
     start = posture(planner, "balance").copy()
     start[:2] += turn_rad, -0.35
-    with pytest.raises(SkillFailed, match=r"the arm stands where it touches something.* overlap by") as failed:
+    with pytest.raises(SkillFailed, match=r"where it stands, the arm touches something.* overlap by") as failed:
         planner.move(start, "park")
     assert failed.value.code == "arm.start_in_collision"
 

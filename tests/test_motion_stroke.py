@@ -185,7 +185,7 @@ def test_a_stroke_that_is_asked_for_again_has_the_answer_that_it_had(
         with pytest.raises(SkillFailed) as failed:
             planned_stroke(planner, planner.home(), far, LAB.cell, STATION.name, MORTAR)
         whys.append((failed.value.code, failed.value.detail))
-    assert whys == [("arm.unreachable", "the arm cannot reach all of it")] * 2
+    assert whys == [("arm.unreachable", "the arm cannot reach every pose of this motion")] * 2
 
 
 def test_strokes_that_cannot_be_do_not_hold_the_scenes_that_they_were_looked_for_in(path: StrokePath) -> None:

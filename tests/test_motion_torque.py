@@ -95,14 +95,14 @@ def test_a_stop_takes_no_more_than_the_servos_have() -> None:
 
 def test_a_hand_that_cannot_be_held_up_is_told_by_its_joint() -> None:
     heavy = with_hand(3.0)
-    with pytest.raises(SkillFailed, match=r"too heavy .* joint \d would have to hold \d+\.\d N m, and may give"):
+    with pytest.raises(SkillFailed, match=r"too heavy .* joint \d would have to hold \d+\.\d N m, but can give only"):
         heavy.planner.move(heavy.planner.home(), FAR)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('<mass value="0.21"/>', '<mass value="0"/>', "gives no mass to what joint 7 carries"),
+        ('<mass value="0.21"/>', '<mass value="0"/>', "gives no mass to the links that joint 7 carries"),
         ('effort="10.6"', 'effort="0"', "joint 2 needs a limit with an effort above zero"),
     ],
 )

@@ -206,7 +206,7 @@ def test_where_a_dose_was_under_way_a_person_says_whether_it_is_the_same_contain
     run.cut("dispense")
     run.resume()
     (asked,) = run.told("asked")
-    assert "Is it another container, or the same, and counts with what it weighs now?" in asked["question"]
+    assert "Is it another container, or the same one? The same one counts with what it weighs now." in asked["question"]
     assert asked["choices"] == ["same", "another", "stop"]
 
 
@@ -223,7 +223,7 @@ def test_a_roller_that_forgot_its_turns_is_not_believed(tmp_path: Path) -> None:
     run.cut("scoop", 4)
     assert run.resume() == 0
     (asked,) = run.told("asked")
-    assert asked["question"] == "The roller has lost its turns. How wide is the cone's rim?"
+    assert asked["question"] == "The roller has lost count of its turns. How wide is the cone's rim?"
     assert asked["choices"][-2:] == ["none", "stop"]
     (answered,) = run.told("answered")
     assert answered["answer"] in asked["choices"][:-2], "a person sees it"

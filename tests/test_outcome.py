@@ -252,8 +252,8 @@ def test_a_step_that_the_run_has_seen_is_in_the_uncertainty_of_a_dose_and_may_ch
     assert (large.uncertainty_mg, large.verdict) == (pytest.approx(math.hypot(0.1, 1.075)), "over")
     assert (large.code, large.doses[0].verdict, large.is_good) == ("balance.bracket_open", "over", False)
     assert large.detail == (
-        "the balance's zero was seen to step by 0.50 mg, or its display to hold back so much, in this run, "
-        "and may have in this dose"
+        "the balance's zero was seen to step by 0.50 mg (or its display held back that much) in this run, "
+        "and may have done so in this dose, too"
     )
     assert large.doses[0].uncertainty_mg == large.uncertainty_mg
     assert doubted(large, 0.3, 0.0) is large, "what was seen stays seen"
@@ -265,7 +265,8 @@ def test_a_drift_that_the_run_has_seen_counts_by_how_long_a_dose_took() -> None:
     assert (slow.uncertainty_mg, slow.verdict) == (pytest.approx(math.hypot(0.1, 0.43)), "in tolerance")
     fast = doubted(slow, 0.0, 0.04)
     assert (fast.verdict, fast.code) == ("over", "balance.bracket_open")
-    assert fast.detail == "the balance's zero was seen to drift by 0.040 mg/s in this run, and may have in this dose"
+    seen = "the balance's zero was seen to drift by 0.040 mg/s in this run"
+    assert fast.detail == f"{seen}, and may have done so in this dose, too"
 
 
 def test_a_drift_longer_than_from_one_look_at_the_pan_to_the_next_would_have_shown_in_the_dose_itself() -> None:
@@ -391,9 +392,9 @@ def test_a_container_that_a_dose_broke_off_in_is_told_to_hold_powder_and_is_neve
     ran = dry_run(tmp_path, recipe, lab=lab, controller="adaptive")
     had = ran.sample("a")
     assert (had.verdict, had.code, had.is_good) == ("no dose", code, False)
-    seen = "was not weighed; by the balance's last reading it had brought (.+) mg"
+    seen = "was not weighed; at the balance's last reading it had brought (.+) mg"
     told = re.fullmatch(
-        f"{detail} broke off, and {seen}; 'a' holds (.+) mg of glass_beads by a dose that broke off", str(had.detail)
+        f"{detail} broke off, and {seen}; 'a' holds (.+) mg of glass_beads from a dose that broke off", str(had.detail)
     )
     assert told is not None
     assert had.true_mg is not None
@@ -489,7 +490,7 @@ def test_a_container_that_comes_again_for_another_powder_holds_both(
         )
         return
     assert (had.verdict, had.code, had.is_good) == ("in tolerance", "dose.not_reached", False)
-    told = re.fullmatch("'a/container' holds (.+) mg of glass_beads by a dose that broke off", str(had.detail))
+    told = re.fullmatch("'a/container' holds (.+) mg of glass_beads from a dose that broke off", str(had.detail))
     assert told is not None
     held_mg = world_mg["container:a/container"] - its["monosodium_glutamate"].dispensed_mg
     assert float(told[1]) == pytest.approx(held_mg, abs=0.6)

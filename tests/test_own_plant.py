@@ -108,14 +108,14 @@ class BedThatCrumbles(Half):
 def test_what_falls_over_the_edge_as_the_cone_leaves_is_spilled_though_none_comes_again(tmp_path: Path) -> None:
     ran = ran_on(tmp_path, "BedThatCrumbles")
     (notice,) = ran.session.notices
-    assert notice.startswith("By the simulation 100.0 mg of powder were spilled")
+    assert notice.startswith("In the simulation 100.0 mg of powder were spilled")
 
 
 def test_what_a_dry_run_has_spilled_is_told_although_its_doses_are_right(tmp_path: Path) -> None:
     ran = ran_on(tmp_path, "BedThatSpills")
     assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"]
     (notice,) = ran.session.notices
-    assert notice.startswith("By the simulation 200.0 mg of powder were spilled")
+    assert notice.startswith("In the simulation 200.0 mg of powder were spilled")
     assert ran_on(tmp_path, "Half").session.notices == []
 
 

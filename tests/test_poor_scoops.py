@@ -134,7 +134,7 @@ def test_a_source_that_gives_nothing_costs_six_scoops_at_most_and_its_other_samp
     assert ran.result.exit_code == 1
     with pytest.raises(SourceError, match="the run is complete"):
         checked_history(ran.journal)
-    for told_to in ("the sheet opens", "the motor shakes", "begin a new run of the samples that were not run"):
+    for told_to in ("the sheet opens", "the motor shakes", "begin a new run with the samples that were not run"):
         assert told_to in CATALOGUE[Code.SCOOP_NOTHING].remedy
 
 
@@ -144,7 +144,7 @@ def test_small_doses_of_which_nothing_comes_cost_as_many_scoops_as_large_ones_do
     recipe = f"recipe: r\nworkflow: fill_xrd_holder\ndefaults: {{container: xrd_holder}}\n{samples}\n"
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller="adaptive")
     told_so = ran.sample("a").code or "", ran.sample("a").detail or ""
-    assert ": ".join(told_so).startswith("scoop.nothing: 6 loads in a row from 'beads' have brought nothing")
+    assert ": ".join(told_so).startswith("scoop.nothing: 6 loads in a row from 'beads' brought nothing")
     assert len(told(ran, "scoop")) == MOST_BARREN_LOADS
 
 
@@ -153,10 +153,13 @@ def test_every_controller_gives_up_on_a_source_that_gives_nothing(tmp_path: Path
     recipe = RECIPE.replace("POLICY", "stop")
     ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller=controller)
     assert (ran.result.exit_code, len(told(ran, "scoop"))) == (3, MOST_BARREN_LOADS)
-    assert ran.result.reason.startswith("a: scoop.nothing: 6 loads in a row from 'beads' have brought nothing")
-    left = r"\. \d+\.\d+ g should be left in it: if there is less, correct the recipe's amount"
-    hand = "look whether the sheet opens and the motor shakes"
-    assert re.search(f"{left} .*, if they stand at the sides, level them, if they bridge .*; {hand}", ran.result.reason)
+    assert ran.result.reason.startswith("a: scoop.nothing: 6 loads in a row from 'beads' brought nothing")
+    left = r"\. \d+\.\d+ g should be left\. If there is less, refill it or correct the recipe's amount"
+    hand = "Check that the sheet opens and the motor shakes"
+    assert re.search(
+        rf"{left}\. If the powder stands at the sides, level it; if it bridges, dry or sieve it\. {hand}",
+        ran.result.reason,
+    )
 
 
 @pytest.mark.slow

@@ -86,7 +86,7 @@ def test_a_board_without_power_leaves_its_valve_as_it_is_and_shuts_it_when_it_be
         twins.obey(["power", "off", "hand"])
         until(lambda: controller.trouble is not None)
         assert controller.trouble is not None
-        assert "the valve was not shut when it was last heard" in controller.trouble.detail
+        assert "at its last report the valve was not shut" in controller.trouble.detail
         time.sleep(0.5)
         assert board.opening_mm > 1.9, "nobody is there who would shut it"
         assert board.vibration == 0.0

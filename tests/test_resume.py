@@ -293,7 +293,7 @@ def test_a_changed_recipe_or_lab_is_refused_and_may_be_accepted(run: Run) -> Non
 @pytest.mark.parametrize(
     ("before", "after", "what"),
     [
-        ("  - {id: b, mass: 80 mg}\n", "", "'b' was under way, but is no longer in this plan"),
+        ("  - {id: b, mass: 80 mg}\n", "", "'b' was under way, but this plan no longer has it"),
         (
             "  - {id: b,",
             "  - {id: new, mass: 50 mg}\n  - {id: b,",

@@ -148,7 +148,7 @@ def test_hardware_without_torque_is_limp_for_this_program_whatever_ros_2_does_th
 
 def test_an_arm_without_torque_is_refused_and_says_what_to_do(ros2: Ros2) -> None:
     ros2.say("deactivate")
-    with pytest.raises(SkillFailed, match=r"arm\.limp: .*'crane_x7' is inactive.*activate it in ROS 2"):
+    with pytest.raises(SkillFailed, match=r"arm\.limp: .*'crane_x7' is inactive.*activate the hardware in ROS 2"):
         ros2.connect()
 
 
@@ -187,7 +187,10 @@ def test_a_run_that_hangs_stops_the_arm(ros2: Ros2) -> None:
 
 
 def test_nobody_there_and_no_address_are_named() -> None:
-    for port, why in (("ws://127.0.0.1:9", "no rosbridge answers"), ("/dev/ttyUSB0", "no address of a rosbridge")):
+    for port, why in (
+        ("ws://127.0.0.1:9", "no rosbridge answers"),
+        ("/dev/ttyUSB0", "is not the address of a rosbridge"),
+    ):
         with pytest.raises(SkillFailed, match=why):
             DRIVER.connect(Site(ArmSpec(port=port), Ros2Options(), WallClock()))
 

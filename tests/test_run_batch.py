@@ -153,8 +153,8 @@ def test_skip_sample_goes_on_with_the_next(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("skip_sample", "stop"), plant="test_run_batch:Gusher")
     assert ran.result.exit_code == ExitCode.FLAGGED
     assert [sample.verdict for sample in ran.result.samples] == ["skipped", "skipped"]
-    not_good = "not good are 'a' (skipped, dose.overshoot), 'b' (skipped, dose.overshoot); for these start a new run"
-    with pytest.raises(SourceError, match=re.escape(f"the run is complete: nothing is done twice, and {not_good}")):
+    not_good = "Not good: 'a' (skipped, dose.overshoot), 'b' (skipped, dose.overshoot). For these, begin a new run"
+    with pytest.raises(SourceError, match=re.escape(f"the run is complete: nothing is done again. {not_good}")):
         checked_history(ran.journal)
 
 

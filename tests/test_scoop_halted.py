@@ -34,7 +34,7 @@ def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion:
     scooping.close()
     cell.hand.stop()
     bench.do(bench.later(2.0, lambda: None))
-    with pytest.raises(SkillFailed, match=r"arm.start_in_collision: .* mortar_bay is left by `withdraw`"):
+    with pytest.raises(SkillFailed, match=r"arm.start_in_collision: .* the cone leaves mortar_bay by `withdraw`"):
         bench.do(park().run(cell))
     bench.do(withdraw().run(cell))
     bench.do(park().run(cell))

@@ -71,7 +71,7 @@ def test_where_the_cone_cannot_be_formed_on_the_way_it_is_formed_before(
     on_the_way_s = _scoop_s(dry_run(tmp_path, RECIPE % "beads"))
 
     def never(*asked: Any) -> None:
-        raise SkillFailed(Code.ARM_NO_PATH, "a cone that becomes 82 mm wide would touch something")
+        raise SkillFailed(Code.ARM_NO_PATH, "the cone would touch something while its rim changes to 82 mm")
 
     monkeypatch.setattr(MotionPlanner, "forming", never)
     (tmp_path / "again").mkdir()

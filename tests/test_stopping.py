@@ -171,7 +171,7 @@ def test_every_wish_is_heard_by_the_run_or_answered_to_be_none(tmp_path: Path) -
         thread.join()
     assert sorted(heard) == sorted(wish for wish in wishes if wish != "dance")
     assert answers.count(HEARD) == len(heard)
-    assert answers.count("this request is unknown") == 8
+    assert answers.count("this command is not known") == 8
     with pytest.raises(OSError, match="in use"):
         WishListener(journal, Control())
     assert say_wish(tmp_path / "other.sqlite", "stop") is None

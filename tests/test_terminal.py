@@ -346,7 +346,7 @@ def test_no_color_means_none(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("width", [80, 100, 120, 160, 200])
 def test_no_width_takes_a_name_a_mass_or_a_verdict_from_the_table(ran: Ran, width: int) -> None:
-    code = {"code": "balance.bracket_open", "detail": "its container was not taken off"}
+    code = {"code": "balance.bracket_open", "detail": "the container was not taken off"}
     results = [ran.result.samples[0], ran.result.samples[1].model_copy(update=code)]
     text = io.StringIO()
     Console(file=text, width=width).print(doses_table(results, width))

@@ -149,7 +149,7 @@ def test_unattended_no_sample_is_done_once_more_in_what_another_one_needs(
         session.close()
     assert [(one.verdict, one.code) for one in result.samples] == [("over", "dose.overshoot")] * 2
     assert [one.id for one in result.samples if one.attempt == 2] == again
-    said = "not done once more: the changer has no container to spare, and nobody is there to fill it"
+    said = "not done again: the changer has no container to spare, and nobody is there to fill it"
     assert [said in one.detail for one in result.samples] == [one.id not in again for one in result.samples]
 
 

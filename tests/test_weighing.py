@@ -182,8 +182,8 @@ def test_a_filled_container_is_weighed_and_taken_away_and_the_bare_pan_says_what
     assert (told.container, told.closes, told.difference_mg) == (DISH.id, True, closed.difference_mg)
     assert sum(net.mass_mg for net in told.doses.values()) == pytest.approx(50.0, abs=0.2)
     assert told.detail == (
-        "by the bare pan before and after it the container has gained 50.20 mg, +0.20 mg against what was dosed; "
-        f"{closed.allowance_mg:.2f} mg are allowed"
+        "against the bare pan before and after it, the container has gained 50.20 mg. That differs from the dose by "
+        f"+0.20 mg; {closed.allowance_mg:.2f} mg are allowed"
     )
 
 
@@ -195,8 +195,8 @@ def test_a_bare_pan_that_has_moved_is_said_to_have(moved_mg: float) -> None:
     (told,) = shown.believed.closed
     assert not told.closes
     assert told.detail == (
-        f"the bare pan shows +{moved_mg:.2f} mg against before the container: the balance's zero has moved, "
-        "or its display holds what it shows"
+        f"the reading of the bare pan has changed by +{moved_mg:.2f} mg from before the container to after it: the "
+        "balance's zero has moved, or the balance holds its display"
     )
 
 
@@ -313,7 +313,7 @@ def test_powder_that_nothing_explains_counts_where_a_person_says_so(answer: str,
     resumed = Resumed(15_060.0, -5_000.0, 15_060.0, answer=answer)
     assert resumed.settle().counts is counts
     ((question, choices),) = resumed.asked
-    assert question.startswith("After the outage 'dish' weighs as if it held 60.0 mg, and 48.")
+    assert question.startswith("After the outage 'dish' weighs as if it held 60.0 mg; 48.")
     assert choices == ["another", "same", "stop"]
     assert (resumed.believed.bracket is not None) is counts
 

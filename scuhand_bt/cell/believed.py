@@ -203,7 +203,7 @@ class Believed(BelievedPowder):
             return
         told = closed
         if closed.closes and self.is_zero_doubted:
-            why = "the balance's zero has stepped of late, or the bracket before did not close"
+            why = "the balance's zero has stepped recently, or the bracket before did not close"
             told = replace(closed, closes=False, detail=f"{why}; {closed.detail}")
         before = self.had_gone(closed.container)
         if is_discarded := before is not None and before.is_discarded:

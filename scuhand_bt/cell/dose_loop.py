@@ -127,7 +127,7 @@ class _Kept:
         """Raise SkillFailed container.moved if several readings in a row, or a stable mean, are too low."""
         self._below = self._below + 1 if seen.net_mg < self._least_mg else 0
         if self._below >= (1 if seen.stable else LOST_READINGS):
-            lost = f"the pan shows {self.most_mg - seen.net_mg:.0f} mg less than it has shown in this dose"
+            lost = f"the pan shows {self.most_mg - seen.net_mg:.0f} mg less than earlier in this dose"
             raise SkillFailed(Code.CONTAINER_MOVED, lost)
         lowest = self._lowest
         while lowest and lowest[-1].net_mg >= seen.net_mg:

@@ -113,7 +113,7 @@ class InTheWay:
         if self._is_free(motion, 0.0):
             return
         while not self._is_free(motion, 0.0):
-            yield from self.gone(since_s, SkillFailed(Code.ARM_NO_PATH, "this motion is not made around it"))
+            yield from self.gone(since_s, SkillFailed(Code.ARM_NO_PATH, "the arm cannot make this motion around it"))
         self.waited(since_s)
 
     def _is_free(self, motion: Trajectory, from_s: float) -> bool:

@@ -25,7 +25,7 @@ from scuhand_bt.specs import Container
 
 SCOOP_DOUBT = 0.15
 """How far a scoop may be from what it was expected to bring, as a share of the load limit."""
-STOOD_STILL = "the display stood still for longer than its noise allows: what came meanwhile nobody has seen"
+STOOD_STILL = "the display was frozen: it did not change for longer than its noise allows, and may hide what came"
 
 
 def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
@@ -60,9 +60,11 @@ def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
     if least_mg <= gained.mass_mg and (gained.mass_mg <= most_mg or not at_most):
         believed.reweighed(gained, now)
         return
-    possible = f"{least_mg:.1f} to {most_mg:.1f} mg" if at_most else f"no less than {least_mg:.1f} mg"
-    gain = f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg"
-    why = f"{gain}, and {possible} can have come"
+    possible = f"{least_mg:.1f} to {most_mg:.1f} mg are" if at_most else f"{least_mg:.1f} mg or more is"
+    why = (
+        f"'{bracket.container}' has gained {gained.mass_mg:.1f} mg since it was last weighed, but only {possible} "
+        "possible"
+    )
     if at_most:
         raise SkillFailed(Code.CONTAINER_CHANGED, why)
     believed.container_given_up(why)
@@ -75,7 +77,7 @@ def take_container_away(cell: Cell, to: Container | None = None) -> Steps[Stable
     SkillFailed arm.in_the_way if it stands over the pan.
     """
     if (aside_mm := cell.aside_of_pan_mm()) < CLEAR_MM:
-        raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")
+        raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is only {aside_mm:.0f} mm from the middle of the pan")
     taking = cell.right_of_way.unshaken(_taken_away(cell, to))
     bare = yield from cell.right_of_way.undisturbed(taking) if cell.changer.needs_person else taking
     return bare
@@ -170,10 +172,10 @@ def _handed_over(cell: Cell, hands: Hands, to: Container, bare_mg: float, was_mg
 def _in_words(closed: Closed) -> str:
     if closed.stepped_mg != 0.0:
         return (
-            f"the bare pan shows {closed.zero_mg:+.2f} mg against before the container: the balance's zero has moved, "
-            "or its display holds what it shows"
+            f"the reading of the bare pan has changed by {closed.zero_mg:+.2f} mg from before the container to after "
+            "it: the balance's zero has moved, or the balance holds its display"
         )
     return (
-        f"by the bare pan before and after it the container has gained {closed.net.mass_mg:.2f} mg, "
-        f"{closed.difference_mg:+.2f} mg against what was dosed; {closed.allowance_mg:.2f} mg are allowed"
+        f"against the bare pan before and after it, the container has gained {closed.net.mass_mg:.2f} mg. That differs "
+        f"from the dose by {closed.difference_mg:+.2f} mg; {closed.allowance_mg:.2f} mg are allowed"
     )

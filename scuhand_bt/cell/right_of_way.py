@@ -28,7 +28,7 @@ STILL_TIMEOUT_S = 120.0
 """How long a weighing waits for stillness; no motion takes a tenth of that."""
 SETTLES_S = 8.0
 """How long a pan may come to rest while the arm goes on; a balance that the arm disturbs is not waited for."""
-REACHES_IN = "An exchange by hand was broken off, and the arm is about to move. Is nobody reaching into the cell?"
+REACHES_IN = "An exchange by hand was interrupted, and the arm is about to move. See that nobody reaches into the cell."
 MOVING = ("arm", "hand", "changer")
 """What has to stand still for a weighing."""
 LOOK_S = 0.1
@@ -238,7 +238,7 @@ class RightOfWay:
         deadline_s = clock.now_s + STILL_TIMEOUT_S
         while moving := self._moving(devices):
             if clock.now_s >= deadline_s:
-                what = f"the {' and the '.join(moving)} moved on for {STILL_TIMEOUT_S:g} s beside the weighing"
+                what = f"the {' and the '.join(moving)} did not come to rest in {STILL_TIMEOUT_S:g} s for a weighing"
                 raise SkillFailed(Code.BALANCE_UNSTABLE, what)
             yield Wake.on(self._cell.device(moving[0]).news, clock.now_s + LOOK_S)
 

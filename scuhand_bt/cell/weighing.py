@@ -213,7 +213,9 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     mean = yield from cell.right_of_way.stable_mean(RESTS_S)
     while _is_on_its_way(mean):
         if cell.clock.now_s >= shown_s + RESTS_S:
-            what = f"for {RESTS_S:g} s it has called readings stable that differ by more than {CHANGED_MG:g} mg"
+            what = (
+                f"for {RESTS_S:g} s the balance has called readings stable that differ by more than {CHANGED_MG:g} mg"
+            )
             raise SkillFailed(Code.BALANCE_UNSTABLE, what)
         mean = yield from cell.right_of_way.stable_mean(RESTS_S)
     took_s = mean.time_s - shown_s
@@ -345,7 +347,7 @@ def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = F
     """
     delay_s, inexact_s = step.delay_s, cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
     if delay_s > LONGEST_DELAY_S + inexact_s:
-        late = f"it showed the container {delay_s:.1f} s late; up to {LONGEST_DELAY_S:g} s are dosed with"
+        late = f"the balance showed the container {delay_s:.1f} s late; for a dose {LONGEST_DELAY_S:g} s are allowed"
         raise SkillFailed(Code.BALANCE_SLOW, late)
     known_s = 2.0 * cell.balance_belief.lag_s if cell.known_delay_s is None else cell.known_delay_s
     is_slower = delay_s > SLOWER * known_s + inexact_s

@@ -44,10 +44,10 @@ def ringing(readings: Sequence[tuple[float, float]], ended_s: float, near_mg: fl
     last_s = readings[-1][0] if readings else ended_s
     resting = [value for time_s, value in readings if time_s >= last_s - REST_SHARE * (last_s - ended_s)]
     if last_s <= ended_s or len(resting) < 3:
-        raise ValueError("too few readings came")
+        raise ValueError("there were too few readings")
     rest_mg = statistics.median(resting)
     if max(abs(value - rest_mg) for value in resting) > near_mg:
-        raise ValueError(f"the balance still goes {max(resting) - min(resting):.1f} mg apart")
+        raise ValueError(f"the readings still vary by {max(resting) - min(resting):.1f} mg")
     far = [time_s for time_s, value in readings if time_s >= ended_s and abs(value - rest_mg) > near_mg]
     apart_mg = max(abs(value - rest_mg) for _, value in readings)
     return Ringing(apart_mg, max((time_s - ended_s for time_s in far), default=0.0))
@@ -55,12 +55,15 @@ def ringing(readings: Sequence[tuple[float, float]], ended_s: float, near_mg: fl
 
 def find_coupling(site: Site) -> Found:
     """How the balance takes it that the arm moves beside it, and that the hand's motor shakes."""
-    site.person.ask("See that the cone and the pan are empty, and the balance's shield as it is while dosing.")
+    site.person.ask(
+        "Check that the cone and the pan are empty, and that the balance's shield is as it is while dosing."
+    )
     led(site, "Lead the apex over the middle of the pan, 5 to 10 cm above it, and hold it there.")
     with held(site) as devices:
         jogger = Jogger(site, devices)
         site.person.ask(
-            f"By itself, joint 1 turns by {JOG_DEG:g}° and back, {TIMES} times; then the motor shakes. May they?",
+            f"Joint 1 will now turn by itself, by {JOG_DEG:g}° and back, {TIMES} times; then the motor shakes. May "
+            "they?",
             ("go", "stop"),
         )
 
@@ -80,7 +83,7 @@ def find_coupling(site: Site) -> Found:
         for what, disturb in (("the arm's motion", jog), ("the motor", shake)):
             rung = [_rung(*_heard(site, devices, disturb), near_mg, what) for _ in range(TIMES)]
             rings_s, apart_mg = max(one.rings_s for one in rung), max(one.apart_mg for one in rung)
-            words[what] = f"the balance goes {apart_mg:.2g} mg apart, and is at rest {rings_s:.1f} s after it"
+            words[what] = f"the readings move by up to {apart_mg:.2g} mg, and are at rest {rings_s:.1f} s after it"
     return Found(words)
 
 
@@ -103,5 +106,5 @@ def _rung(heard: Sequence[Reading], ended_s: float, near_mg: float, what: str) -
         return ringing([(reading.time_s, reading.value_mg) for reading in heard], ended_s, near_mg)
     except ValueError as error:
         raise NotFound(
-            f"{WATCHED_S:g} s after {what}, {error}: look at what the balance stands on, at its shield, and for draught"
+            f"{WATCHED_S:g} s after {what}, {error}: check what the balance stands on, its shield, and draughts"
         ) from None

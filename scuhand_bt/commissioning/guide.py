@@ -59,7 +59,7 @@ def _accepted(site: Site, found: Found) -> Lab | None:
     try:
         new = edited(old, found.values)
     except ValueError as error:
-        raise NotFound(f"{CELL_FILE} cannot be changed so: {error}") from None
+        raise NotFound(f"{CELL_FILE} cannot be changed in this way: {error}") from None
     if new == old:
         site.person.tell(f"{CELL_FILE} stays as it is.")
         return site.lab

@@ -17,7 +17,7 @@ from scuhand_bt.devices.connect import Devices, connect_cell_devices
 
 SLOW_RATIO = 0.2
 """What moves by itself in a commissioning does so at this share of the cell's speeds."""
-HOLD = "The servos hold the arm from now on. May they?"
+HOLD = "The servos will now hold the arm. May they?"
 
 
 def led(site: Site, where: str) -> None:

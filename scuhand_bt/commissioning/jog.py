@@ -12,7 +12,8 @@ JOG_DEG = 2.0
 FOLLOWS_DEG = 1.0
 """A joint that stands farther from its goal, at rest, does not hold its load: its gains, or its supply."""
 LED = (
-    "Lead the arm to where it has room all round, away from the balance, the cone empty and upright, and hold it there."
+    "Lead the arm to a place with room all round, away from the balance, with the cone empty and upright. Hold it "
+    "there."
 )
 
 
@@ -24,17 +25,20 @@ def find_jog(site: Site) -> Found:
         jogger = Jogger(site, devices)
         for joint, (what, way) in enumerate(TURNS[:JOINTS]):
             name, how = what.split(": ", 1)
-            site.person.ask(f"By itself, {name} now does {TRIED_DEG:g}° of: {how}. May it?", ("go", "stop"))
+            site.person.ask(
+                f"{name[0].upper()}{name[1:]} will now move by itself, by {TRIED_DEG:g}°: {how}. May it?",
+                ("go", "stop"),
+            )
             off_deg = jogger.turn(joint, way * TRIED_DEG)
-            if site.person.ask(f"Has it done that, and only that: {how}?", ("yes", "no", "stop")) != "yes":
+            if site.person.ask(f"Did it do exactly this: {how}?", ("yes", "no", "stop")) != "yes":
                 raise NotFound(
-                    f"{name} does not turn as it is described: `scuhand-bt commission servos` finds ids and directions"
+                    f"{name} does not turn as described: `scuhand-bt commission servos` finds the ids and directions"
                 )
             off_deg = max(off_deg, jogger.turn(joint, -way * TRIED_DEG))
             if off_deg > FOLLOWS_DEG:
                 raise NotFound(
-                    f"{name} was turned, and the arm stands {off_deg:.1f}° from its goal: look at the servos' supply, "
-                    "and for what holds it up"
+                    f"{name} was turned, but the arm stands {off_deg:.1f}° from its goal: check the servos' supply, "
+                    "and look for what blocks the arm"
                 )
             words[name] = f"follows to within {off_deg:.2f}°"
         ways = {f"{joint + 1}{sign}": (joint, by) for joint in range(JOINTS) for sign, by in (("+", 1), ("-", -1))}

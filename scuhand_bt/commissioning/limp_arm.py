@@ -50,7 +50,7 @@ def limp(spec: ArmSpec, person: Dialogue, but: int | None = None) -> Iterator[Li
             models = bus.scan()
             held = [servo for servo in models if servo != but and bus.read(servo, r.TORQUE_ENABLE)]
             if held:
-                person.ask("Hold the arm with both hands: its servos let go now. Do you hold it?")
+                person.ask("Hold the arm with both hands: its servos will now let go. Do you hold it?")
             for servo in held:
                 bus.write(servo, r.TORQUE_ENABLE, 0)
             yield LimpArm(bus, models)

@@ -55,7 +55,7 @@ class Record:
         except FileNotFoundError:
             return ()
         except ValidationError:
-            raise self._problem("this is no record of a commissioning; move it away, and begin anew") from None
+            raise self._problem("this is not a commissioning record; move it away, and begin again") from None
         except OSError as error:
             raise self._problem(f"cannot be read: {error.strerror or error}") from None
 

@@ -43,12 +43,12 @@ def find_roller(site: Site) -> Found:
     """The roller's angle per millimetre of sheet, the mounted sheet's rim, and the roller's count from there."""
     person, hand = site.person, site.cell.hand
     mounted_mm = hand.options.start_diameter_mm
-    person.ask(f"Empty the cone, and mount the sheet anew, its rim {mounted_mm:g} mm wide.")
-    first_mm = person.measure("How wide is its rim, the mean of two directions across each other? [mm]")
+    person.ask(f"Empty the cone, and mount the sheet again, with a rim of {mounted_mm:g} mm.")
+    first_mm = person.measure("How wide is its rim, as the mean of two directions at right angles? [mm]")
     if abs(first_mm - mounted_mm) > MOUNTED_WITHIN_MM:
         raise NotFound(
-            f"a rim of {first_mm:g} mm is not the {mounted_mm:g} mm that a sheet is mounted with: mount it so, or say "
-            "in robot/cell.yaml how it is (`start_diameter` of the hand)"
+            f"the rim is {first_mm:g} mm wide, but a sheet is mounted with {mounted_mm:g} mm: mount it so, or correct "
+            "`start_diameter` of the hand in robot/cell.yaml"
         )
     led(site, "Lead the hand to where its rim can be measured, and hold the arm there.")
     with held(site) as devices:
@@ -57,25 +57,26 @@ def find_roller(site: Site) -> Found:
         for share in RIMS:
             to_mm = share * mounted_mm
             person.ask(
-                f"By itself, the roller makes the cone narrower, to about {to_mm:.0f} mm. May it?", ("go", "stop")
+                f"The roller will now make the cone narrower by itself, to about {to_mm:.0f} mm. May it?",
+                ("go", "stop"),
             )
             carried_out(devices.hand.morph(to_mm), site.clock)
             turned_deg.append(Cone(devices.hand.cone_diameter_mm, hand.sheet_radius_mm).roller_deg(hand))
-            rims_mm.append(person.measure("How wide is the rim now, the mean of two directions? [mm]"))
+            rims_mm.append(person.measure("How wide is the rim now, as the mean of two directions? [mm]"))
         carried_out(devices.hand.morph(mounted_mm), site.clock)
-        last_mm = person.measure("It has gone back. How wide is the rim now? [mm]")
+        last_mm = person.measure("The roller has gone back. How wide is the rim now? [mm]")
     try:
         per_mm, off_mm = deg_per_mm(turned_deg, rims_mm)
     except ValueError as error:
         raise NotFound(f"{error}") from None
     if off_mm > UNEVEN_MM or abs(last_mm - first_mm) > 2 * UNEVEN_MM:
         raise NotFound(
-            f"the rims are up to {off_mm:.1f} mm from a straight line, and {last_mm - first_mm:+.1f} mm from where "
-            "they began: measure again, and look whether the sheet slips on its roller"
+            f"the rims are up to {off_mm:.1f} mm from a straight line, and the last one is {last_mm - first_mm:+.1f} "
+            "mm from the first: measure again, and check whether the sheet slips on its roller"
         )
     if not 1 / MOST_OFF < per_mm / hand.roller_deg_per_mm < MOST_OFF:
         raise NotFound(
-            f"{per_mm:.2f}° per mm is not this hand's roller; robot/cell.yaml has {hand.roller_deg_per_mm:g}"
+            f"{per_mm:.2f}° per mm cannot be this hand's roller: robot/cell.yaml has {hand.roller_deg_per_mm:g}° per mm"
         )
     per_mm = round(per_mm, 3)
     values: dict[Keys, Value] = {("hand", "roller_deg_per_mm"): f"{per_mm:g}"}

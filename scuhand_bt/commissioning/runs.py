@@ -27,10 +27,10 @@ def find_balance(site: Site) -> Found:
     """Who the balance is and what it is worth, the arm moving beside it."""
     known = LabState(site.state).figures(simulated=site.simulated)
     if not known:
-        raise NotFound(f"nothing was measured of the balance yet: {START_OF_DAY}, then this step again")
+        raise NotFound(f"the balance was not measured yet: run {START_OF_DAY}, then this step again")
     name, figures = list(known.items())[-1]
     if missing := [words for figure, (words, _) in FIGURES.items() if figure not in figures]:
-        raise NotFound(f"of '{name}' is not known: {', '.join(missing)}; {START_OF_DAY}, then this step again")
+        raise NotFound(f"not yet known of '{name}': {', '.join(missing)}. Run {START_OF_DAY}, then this step again")
     words = {what: f"{figures[figure].value:.3g} {unit}" for figure, (what, unit) in FIGURES.items()}
     return Found({"balance": name, **words})
 
@@ -47,4 +47,4 @@ def find_first_dose(site: Site) -> Found:
             dose = doses[-1]
             words = f"{format_mass(dose['dispensed_mg'])} of {format_mass(dose['target_mg'])}, in tolerance"
             return Found({"first dose": words, "run": journal.stem})
-    raise NotFound(f"no first dose was brought in tolerance yet: {FIRST_DOSE}, then this step again")
+    raise NotFound(f"no first dose was in tolerance yet: run {FIRST_DOSE}, then this step again")

@@ -36,9 +36,9 @@ def turned(before: Sequence[int], after: Sequence[int]) -> tuple[int, int]:
     order = sorted(range(len(ways)), key=lambda k: -abs(ways[k]))
     most = ways[order[0]]
     if abs(most) < LEAST_TURN:
-        raise ValueError("no servo has turned by as much; turn it by about 20°")
+        raise ValueError("no servo has turned far enough; turn it by about 20°")
     if len(order) > 1 and abs(ways[order[1]]) * CLEARLY > abs(most):
-        raise ValueError("two servos have turned; hold the other joints")
+        raise ValueError("two servos have turned; hold the other joints still")
     return order[0], 1 if most > 0 else -1
 
 
@@ -47,11 +47,11 @@ def find_servos(site: Site) -> Found:
     with limp(site.cell.arm, site.person) as arm:
         if len(arm.models) < len(TURNS):
             raise NotFound(
-                f"{len(arm.models)} servos answer on {site.cell.arm.port} ({_listed(arm.models)}), and there are "
-                f"{len(TURNS)}: look at their cables and supply; two that have one id are given others one at a time, "
-                "with ROBOTIS' DYNAMIXEL Wizard (baud rate too)"
+                f"{len(arm.models)} servos answer on {site.cell.arm.port} ({_listed(arm.models)}), but there are "
+                f"{len(TURNS)}: check their cables and supply. If two have the same id, connect one at a time, and set "
+                "its id and baud rate with ROBOTIS' DYNAMIXEL Wizard"
             )
-        site.person.ask("Hold the arm straight up, the hand in its middle. Ready?")
+        site.person.ask("Hold the arm straight up, with the hand in its middle position. Ready?")
         ids, ways = _by_turning(site, arm)
     options, roller = site.cell.arm.options, site.cell.hand.options
     values: dict[Keys, tuple[Value, Value]] = {
@@ -82,7 +82,7 @@ def _by_turning(site: Site, arm: LimpArm) -> tuple[list[int], list[int]]:
                 site.person.tell(f"Again, please: {error}.")
         ids.append(left[which])
         ways.append(way * sign)
-        site.person.ask("And back, straight up.")
+        site.person.ask("Now turn it back: the arm straight up.")
     return ids, ways
 
 
@@ -94,13 +94,13 @@ def find_zero(site: Site) -> Found:
         if missing := [servo for servo in ids if servo not in arm.models]:
             raise NotFound(f"servo {_listed(missing)} does not answer; `scuhand-bt commission servos` finds the ids")
         site.person.ask(
-            "Put the arm straight up, every joint on its mark (the jig, or the lines on its links), and hold it."
+            "Put the arm straight up, with every joint on its mark (the jig, or the lines on its links). Hold it there."
         )
         homes = arm.counts(ids)
         if far := [axis.name for axis, home in zip(axes, homes, strict=True) if abs(home - 2048) > OFF_MIDDLE]:
             raise NotFound(
                 f"{', '.join(far)} stands more than 30° from the middle of its servo: is the arm straight up? If so, "
-                "the servo's horn was screwed on elsewhere, and its window would not be enough"
+                "the servo's horn is mounted in the wrong position, and its range would not be enough"
             )
         windows = {}
         for index, (axis, home) in enumerate(zip(axes, homes, strict=True)):

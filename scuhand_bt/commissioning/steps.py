@@ -35,12 +35,12 @@ STEPS = (
         (*APEX, "frames.balance"),
         find_frame("balance"),
     ),
-    Step("jog", "every joint by itself, a little: that it follows, and the right way", ZERO, find_jog),
+    Step("jog", "whether every joint follows, and turns the right way", ZERO, find_jog),
     Step("roller", "how far the roller turns for a millimetre of sheet, by measured rims", ROLLER, find_roller),
     Step("valve", "where the valve begins to open, by weighing glass beads", VALVE, find_valve_zero),
     Step("valve_map", "how far the valve is open at which position, by weighing and a gauge", VALVE, find_valve_map),
     Step("coupling", "how long the balance rings after arm and motor", BALANCE, find_coupling),
-    Step("balance", "who the balance is, and what it is worth beside a moving arm", BALANCE, find_balance),
+    Step("balance", "which balance it is, and how well it weighs beside a moving arm", BALANCE, find_balance),
     Step("first_dose", "a dose of glass beads, slow and in single step", EVERYTHING, find_first_dose),
 )
 """Each rests on those before it; the start of a day, which `balance` asks for, parks the arm before the first dose."""

@@ -45,12 +45,12 @@ def find_apex(site: Site) -> Found:
         raise NotFound(f"{error}") from None
     if found.off_mm > OFF_MM:
         raise NotFound(
-            f"the apex was up to {found.off_mm:.1f} mm from the point: touch it with care, or see to the joints' zero "
+            f"the apex was up to {found.off_mm:.1f} mm from the point: touch it with care, or set the joints' zero "
             "first (`scuhand-bt commission zero`)"
         )
     if (worst_deg := math.degrees(np.abs(found.off_rad).max())) > ZERO_DEG:
         raise NotFound(
-            f"a joint would be {worst_deg:.1f}° beside its mark: put the arm straight up with more care "
+            f"a joint would be {worst_deg:.1f}° off its mark: put the arm straight up with more care "
             "(`scuhand-bt commission zero`), and touch again"
         )
     x_mm, y_mm, along_mm = (round(mm, 2) + 0.0 for mm in found.apex_mm.tolist())
@@ -92,13 +92,11 @@ def find_frame(name: str) -> Callable[[Site], Found]:
             raise NotFound(f"the landmarks of '{name}': {error}") from None
         if found.off_mm > OFF_MM:
             raise NotFound(
-                f"the points were not touched where they are, or stand otherwise than robot/cell.yaml says: "
-                f"{found.off_mm:.1f} mm off"
+                f"the points touched are up to {found.off_mm:.1f} mm from where robot/cell.yaml has them: touch them "
+                "with care, or correct `landmarks`"
             )
         if found.tilt_deg > TILT_DEG:
-            raise NotFound(
-                f"the {name} leans by {found.tilt_deg:.1f}° against the arm's base: level it, and the base, first"
-            )
+            raise NotFound(f"the {name} leans by {found.tilt_deg:.1f}° against the arm's base: level both first")
         shift = [f"{mm:.2f} mm" for mm in found.shift_mm.tolist()]
         words = {
             "shifted by": ", ".join(f"{mm:+.2f}" for mm in found.shift_mm.tolist()) + " mm",
@@ -113,7 +111,7 @@ def find_frame(name: str) -> Callable[[Site], Found]:
 
 def _touched_mm(site: Site, arm: LimpArm, name: str, point_mm: tuple[float, float, float]) -> list[float]:
     at = ", ".join(f"{mm:g}" for mm in point_mm)
-    site.person.ask(f"Touch the mark of the {name} at ({at}) mm with the apex, the cone upright.")
+    site.person.ask(f"Touch the mark of the {name} at ({at}) mm with the apex, the cone being upright.")
     mount = Mount.of(site.cell.hand)
     touched_mm: list[float] = (1e3 * apex(arm.joints(site.cell.arm), mount).position_m).tolist()
     return touched_mm

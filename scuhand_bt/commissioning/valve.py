@@ -27,7 +27,7 @@ from scuhand_bt.yaml_edit import Value
 
 POWDER = "glass_beads"
 OVER_CRUCIBLE = "Put an empty crucible on the pan, and lead the apex over its middle, 5 to 10 cm above the pan."
-FILL = f"Put 3 to 5 g of dry {POWDER} into the cone, or see that as much is in it."
+FILL = f"Put 3 to 5 g of dry {POWDER} into the cone, or check that as much is in it."
 EMPTY = "Empty the cone, and take the crucible off the pan."
 OPENINGS_MM = (0.9, 1.3, 1.7, 2.1)
 DWELLS_S = (0.4, 1.4)
@@ -48,14 +48,14 @@ def opens_later_mm(openings_mm: Sequence[float], flows_mg_per_s: Sequence[float]
     """How much less the valve is open than its map says. ValueError for flows that do not tell."""
     x, y = np.array(openings_mm), np.array(flows_mg_per_s, dtype=float)
     if len(x) < 3 or (y <= 0.0).any():
-        raise ValueError("too little has flowed, at too few openings")
+        raise ValueError("too little powder flowed, or at too few openings")
     y = y**0.4
     slope, constant = np.polyfit(x, y, 1)
     if slope <= 0.0:
-        raise ValueError("no more flows where the valve opens wider")
+        raise ValueError("the flow does not grow as the valve opens wider")
     uneven_mm = float(np.sqrt(np.mean((y - slope * x - constant) ** 2)) / slope)
     if uneven_mm > UNEVEN_MM:
-        raise ValueError(f"the powder flows as if the opening were off by {uneven_mm:.2f} mm each time")
+        raise ValueError(f"the flow varies as if the opening were wrong by {uneven_mm:.2f} mm each time")
     return float(-constant / slope) - threshold_mm
 
 
@@ -84,14 +84,14 @@ def pressed(points: Sequence[ValvePoint]) -> tuple[ValvePoint, ...]:
 def _within_a_turn(points: Iterable[tuple[int, float]]) -> tuple[ValvePoint, ...]:
     listed = list(points)
     if not all(0 <= count <= 4095 for count, _ in listed):
-        raise ValueError("the valve's servo would have to go beyond its turn; see to its linkage")
+        raise ValueError("the valve's servo would have to turn beyond its range; check its linkage")
     return tuple(ValvePoint(count=count, opening_mm=opening_mm) for count, opening_mm in listed)
 
 
 def find_valve_zero(site: Site) -> Found:
     """The valve's map with its zero where the flow says."""
     if (powder := site.lab.library.powders.get(POWDER)) is None:
-        raise NotFound(f"the zero is found with '{POWDER}', which robot/powders.yaml does not have")
+        raise NotFound(f"this step needs the powder '{POWDER}', which is not in robot/powders.yaml")
     threshold_mm, points = powder.belief.threshold_mm, site.cell.hand.options.valve_map
     led(site, OVER_CRUCIBLE)
     try:
@@ -102,9 +102,11 @@ def find_valve_zero(site: Site) -> Found:
                 flows = weighed_flows(devices, site, OPENINGS_MM)
             if flows is not None:
                 break
-            site.person.tell("Powder runs though the valve is shut: it is shut a quarter of a millimetre further.")
+            site.person.tell("Powder runs though the valve is shut. It will be shut a quarter of a millimetre further.")
         else:
-            raise NotFound("powder runs however far the valve is shut: look for what is in it, or at its linkage")
+            raise NotFound(
+                "powder runs however far the valve is shut: look for something in the valve, and check its linkage"
+            )
         found = [(opening_mm, flow) for opening_mm, flow in zip(OPENINGS_MM, flows, strict=True) if flow > 0.0]
         later_mm = opens_later_mm([one for one, _ in found], [flow for _, flow in found], threshold_mm) - closer_mm
         if abs(later_mm) > MOST_LATER_MM:

@@ -49,7 +49,7 @@ def equivalent_mm(flows_mg_per_s: Sequence[float], threshold_mm: float, widest_m
     """The openings that let so much flow, the last of which is `widest_mm`. ValueError for flows that do not rise."""
     roots = np.array(flows_mg_per_s, dtype=float) ** 0.4
     if (np.diff(roots) <= 0.0).any() or roots[0] <= 0.0:
-        raise ValueError("no more flows where the valve opens wider")
+        raise ValueError("the flow does not grow as the valve opens wider")
     openings_mm: list[float] = (threshold_mm + (widest_mm - threshold_mm) * roots / roots[-1]).tolist()
     return openings_mm
 
@@ -57,7 +57,7 @@ def equivalent_mm(flows_mg_per_s: Sequence[float], threshold_mm: float, widest_m
 def find_valve_map(site: Site) -> Found:
     """The valve's map by points, where weighing and a gauge tell another than it has."""
     if (powder := site.lab.library.powders.get(POWDER)) is None:
-        raise NotFound(f"the map is found with '{POWDER}', which robot/powders.yaml does not have")
+        raise NotFound(f"this step needs the powder '{POWDER}', which is not in robot/powders.yaml")
     hand = site.cell.hand
     points = hand.options.valve_map
     told_mm = [round(share * hand.max_opening_mm, 2) for share in SHARES]
@@ -73,7 +73,7 @@ def find_valve_map(site: Site) -> Found:
         gauged_mm = _gauged_mm(devices, site)
     told = [one for one in rounds if one is not None]
     if len(told) < len(rounds):
-        raise NotFound("powder runs though the valve is shut: `scuhand-bt commission valve` first")
+        raise NotFound("powder runs though the valve is shut: run `scuhand-bt commission valve` first")
     flows = np.median(told, axis=0).tolist()
     try:
         openings_mm = equivalent_mm(flows, powder.belief.threshold_mm, gauged_mm or told_mm[-1])
@@ -82,10 +82,13 @@ def find_valve_map(site: Site) -> Found:
     pairs = list(zip(told_mm, openings_mm, strict=True))
     if any(abs(is_mm - opening_mm) > MOST_OFF * opening_mm for opening_mm, is_mm in pairs):
         found = ", ".join(f"{is_mm:.2f} mm at {opening_mm:g} mm" for opening_mm, is_mm in pairs)
-        raise NotFound(f"the valve would be open {found}: no valve is so; weigh again, and look what is in it")
+        raise NotFound(
+            f"the valve would be open by {found}, which is not possible: weigh again, and look for something in the "
+            "valve"
+        )
     words = {
         "the valve is open": ", ".join(f"{is_mm:.2f} mm at {opening_mm:g} mm" for opening_mm, is_mm in pairs),
-        "its scale": f"{gauged_mm:g} mm by a gauge" if gauged_mm else "as the map had it; nobody has measured one",
+        "its scale": f"{gauged_mm:g} mm by a gauge" if gauged_mm else "as in the map before; nobody has measured it",
     }
     if max(abs(is_mm - opening_mm) for opening_mm, is_mm in pairs) < STRAIGHT_MM:
         return Found(words | {"the map": "as it was"})
@@ -132,7 +135,8 @@ def _gauged_mm(devices: Devices, site: Site) -> float:
     hand.set_opening(widest_mm)
     try:
         return site.person.measure(
-            f"The valve is open as far as {widest_mm:g} mm. Which is the thickest pin to pass? [mm; 0: none at hand]"
+            f"The valve is open by {widest_mm:g} mm. How thick is the thickest pin that passes? [mm; 0: no pins at "
+            "hand]"
         )
     finally:
         hand.set_opening(0.0)

@@ -30,7 +30,9 @@ def check_trajectory(trajectory: Trajectory, positions: Joints, limits_rad: Join
     `positions` (7,) is where the arm stands, `limits_rad` (2, 7) what its joints allow.
     """
     if is_moving:
-        raise SkillFailed(Code.DEVICE_BUSY, "the arm is still moving; a motion begins where the one before has ended")
+        raise SkillFailed(
+            Code.DEVICE_BUSY, "the arm is still moving; a motion can begin only when the one before has ended"
+        )
     off_rad = np.abs(trajectory.sample(0.0) - positions)
     if not (off_rad <= START_LIMIT_RAD).all():
         joint = int(off_rad.argmax())
@@ -46,7 +48,7 @@ def check_trajectory(trajectory: Trajectory, positions: Joints, limits_rad: Join
         look, joint = (int(index) for index in np.argwhere(beyond)[0])
         goes_to = f"joint {joint + 1} would go to {math.degrees(joints[look, joint]):.1f}°"
         low_deg, high_deg = np.degrees(limits_rad[:, joint])
-        raise SkillFailed(Code.ARM_JOINT_LIMIT, f"{goes_to}, and may go from {low_deg:.1f}° to {high_deg:.1f}°")
+        raise SkillFailed(Code.ARM_JOINT_LIMIT, f"{goes_to}; only {low_deg:.1f}° to {high_deg:.1f}° are allowed")
 
 
 def checked_dwell(dwell_s: float, longest_s: float) -> float:
@@ -100,7 +102,7 @@ def checked_course(course: SomeAxes, spec: HandSpec, rim_mm: float) -> tuple[flo
         raise SkillFailed(
             Code.ARM_NOT_FOLLOWING,
             f"the course begins {math.degrees(off_rad):.1f}° from where the roller stands: "
-            f"with a rim of {begins_mm:.1f} mm, and the cone's is {rim_mm:.1f} mm",
+            f"with a rim of {begins_mm:.1f} mm, but the cone's rim is {rim_mm:.1f} mm",
         )
     return ends_rad
 

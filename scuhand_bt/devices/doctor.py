@@ -155,7 +155,7 @@ def _on_the_bus(found: Iterable[int], axes: list[Axis]) -> Finding:
     others = [servo for servo in found if servo not in wanted]
     do = f"no answer from {', '.join(missing)}: check their cables, ids, baud rate and supply"
     if others:
-        do += f"; strangers on the bus: {', '.join(map(str, others))}"
+        do += f"; unknown servos on the bus: {', '.join(map(str, others))}"
     expected = ", ".join(map(str, wanted))
     return judged("arm", "servo ids", ", ".join(map(str, sorted(found))) or "none", expected, not missing, do)
 
@@ -180,7 +180,7 @@ def _servo(bus: DynamixelBus, axis: Axis, number: int, limits_rad: tuple[float, 
     odd = [
         f"{what} {value}" for what, value in (("offset", read(r.HOMING_OFFSET)), ("mode", read(r.DRIVE_MODE))) if value
     ]
-    do = "set Homing Offset and Drive Mode to 0 with the DYNAMIXEL Wizard; `home_counts`, `directions` say it all"
+    do = "set Homing Offset and Drive Mode to 0 with the DYNAMIXEL Wizard; `home_counts` and `directions` replace them"
     yield judged(name, "offset, drive mode", ", ".join(odd) or "none", "none", not odd, do)
     low_v, high_v = read(r.MIN_VOLTAGE_LIMIT) / 10, read(r.MAX_VOLTAGE_LIMIT) / 10
     volts = read(r.PRESENT_VOLTAGE) / 10
@@ -235,7 +235,7 @@ def _hand_status(controller: HandController) -> Iterator[Finding]:
     yield judged("hand", "faults", report.why or "none", "none", not report.faults, do)
     yield judged("hand", "valve", report.state, "closed", report.state == "closed", "free the valve")
     shut = abs(report.opening_mm) <= ZERO_MM
-    do = "look for powder in the valve; else calibrate `valve_map` of the hand in robot/cell.yaml"
+    do = "look for powder in the valve; if there is none, calibrate `valve_map` of the hand in robot/cell.yaml"
     yield judged("hand", "valve zero", f"{report.opening_mm:.3f} mm", f"0 ± {ZERO_MM:g} mm", shut, do)
     warm_c = report.temperature_c
     yield judged("hand", "temperature", f"{warm_c} °C", f"below {HOT_C} °C", warm_c < HOT_C, "let it cool")
@@ -336,8 +336,8 @@ def _grams(mass_mg: float) -> str:
 
 def _identity(device: Balance) -> Finding:
     if isinstance(device, SerialBalance) and not device.says_who_it_is:
-        return Finding("balance", "identity", "its dialect has none", "", "not done")
-    do = "it reads all the same; if there are several balances, be sure that it is the right one"
+        return Finding("balance", "identity", "this dialect has none", "", "not done")
+    do = "readings come all the same; if there are several balances, check that this is the right one"
     return Finding("balance", "identity", device.identity or "no answer", "a serial number", "ok", do)
 
 

@@ -197,9 +197,7 @@ class HandController:
             self._hung = True
             pause_ms = self._liveness.silent_s * 1000
             self.make_safe()
-            self.refused = SkillFailed(
-                Code.COMPUTER_BUSY, f"the run's tick hung for {pause_ms:.0f} ms; the valve was closed"
-            )
+            self.refused = SkillFailed(Code.COMPUTER_BUSY, f"the run hung for {pause_ms:.0f} ms; the valve was closed")
 
     def _greet(self) -> None:
         self._forget()
@@ -210,12 +208,12 @@ class HandController:
         self.report, self.trouble = report, None
         if report.refusal and said != "ping":
             why = "it is in fault" if report.refusal == "fault" else f"({report.refusal})"
-            self.refused = SkillFailed(Code.DEVICE_LOST, f"the hand controller did not take '{said}': {why}")
+            self.refused = SkillFailed(Code.DEVICE_LOST, f"the hand controller refused '{said}': {why}")
 
     def _lose(self, why: str) -> None:
         if self.report is not None and not self.report.is_safe:
             # Its dead-man shuts the valve; a board without power does not, and the servo goes where it was told.
-            why += "; the valve was not shut when it was last heard: look whether it is"
+            why += "; at its last report the valve was not shut: check whether it is now"
         self.report = None
         self.trouble = SkillFailed(Code.DEVICE_LOST, why)
         self.news.fire()

@@ -155,7 +155,7 @@ class LineSwitch(LineDevice):
         if self.fault is not None:
             raise self.fault
         if self._status is not None:
-            raise SkillFailed(Code.DEVICE_BUSY, f"{self._name} has not done yet what it was told before")
+            raise SkillFailed(Code.DEVICE_BUSY, f"{self._name} is still carrying out the command before")
         self._wanted, self._until_s = value, self._clock.now_s + self.done_within_s
         self._status = status = Status(self.news)
         self._link.write(self.command(value))
@@ -188,7 +188,10 @@ class LineSwitch(LineDevice):
         if self._status is not None and self._clock.now_s > self._until_s:
             told = "on" if self._wanted else "off"
             self._complete(
-                SkillFailed(Code.DEVICE_LOST, f"{self._name} was told to be {told}, and is not yet; look at it")
+                SkillFailed(
+                    Code.DEVICE_LOST,
+                    f"{self._name} was commanded to be {told}, but does not report that it is; look at it",
+                )
             )
 
     def lost(self, why: str) -> None:
@@ -227,7 +230,7 @@ class LineWatcher(LineDevice):
         super().__init__(site)
         self.news = Signal()
         self.points_m: NDArray[np.float64] | None = None
-        self.fault: SkillFailed | None = self._blind("it has not told yet what it sees")
+        self.fault: SkillFailed | None = self._blind("it has not reported yet what it sees")
 
     @abstractmethod
     def parse(self, line: bytes) -> tuple[tuple[float, float, float], ...] | None:
@@ -262,7 +265,7 @@ class LineWatcher(LineDevice):
         super().idle()
         if self._silence.seconds > self.silent_after_s:
             self._silence.broken()
-            self.lost("it says nothing any more; is it switched on?")
+            self.lost("it has gone silent; is it switched on?")
 
     def lost(self, why: str) -> None:
         self.points_m, self.fault = None, self._blind(why)

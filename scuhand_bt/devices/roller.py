@@ -88,7 +88,7 @@ class RollerRecord:
 
 def roller_lost() -> SkillFailed:
     """The failure of a roller that was to be turned and has lost its turns."""
-    return SkillFailed(Code.HAND_ROLLER_LOST, "the roller has lost its turns, and is not turned")
+    return SkillFailed(Code.HAND_ROLLER_LOST, "the roller has lost count of its turns, so it is not turned")
 
 
 def rims_mm(turned_deg: float, hand: HandSpec) -> list[float]:

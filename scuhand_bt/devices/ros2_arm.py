@@ -80,7 +80,9 @@ class Bridge:
             ) from None
         there = urlsplit(url if "://" in url else f"ws://{url}")
         if there.scheme not in ("ws", "wss") or not there.hostname:
-            raise SkillFailed(Code.DEVICE_LOST, f"'{url}' is no address of a rosbridge, such as ws://127.0.0.1:9090")
+            raise SkillFailed(
+                Code.DEVICE_LOST, f"'{url}' is not the address of a rosbridge, such as ws://127.0.0.1:9090"
+            )
         self._ros = roslibpy.Ros(there.hostname, there.port or 9090, there.scheme == "wss", transport="asyncio")
         self._states = roslibpy.Topic(
             self._ros, options.joint_states, "sensor_msgs/msg/JointState", throttle_rate=STATES_MS, queue_length=1
@@ -242,7 +244,9 @@ class Ros2Arm:
         self._is_active = bool(states) and not without
         if without and self._limp is None:
             what = f"its hardware {', '.join(without)}: the servos have no torque"
-            self._limp = SkillFailed(Code.ARM_LIMP, f"{what}; see to the arm, activate it in ROS 2, and resume")
+            self._limp = SkillFailed(
+                Code.ARM_LIMP, f"{what}; support the arm, activate the hardware in ROS 2, and resume"
+            )
             self._end(self._limp)
 
     def _ended(self, goal: "_Goal", result: Mapping[str, Any]) -> None:
@@ -284,19 +288,19 @@ class Ros2Arm:
     def _look_at(self, goal: "_Goal", now_s: float) -> None:
         if not self._liveness.is_alive and goal.cancelled_s is None:
             pause_ms = 1000 * self._liveness.silent_s
-            self._fault = SkillFailed(Code.COMPUTER_BUSY, f"the run's tick hung for {pause_ms:.0f} ms; arm stopped")
+            self._fault = SkillFailed(Code.COMPUTER_BUSY, f"the run hung for {pause_ms:.0f} ms; the arm was stopped")
             self.stop()
         if goal.cancelled_s is not None and now_s - goal.cancelled_s > STOPPED_S and not self._stands():
-            what = "the controller has not taken the stop; rosbridge needs `send_action_goals_in_new_thread:=true`"
+            what = "the controller did not accept the stop; rosbridge needs `send_action_goals_in_new_thread:=true`"
             self._end(SkillFailed(Code.DEVICE_LOST, what))
         elif goal.cancelled_s is not None and now_s - goal.cancelled_s > STOPPED_S:
             self._end(None)  # it holds, though nobody has said so
         elif not goal.is_accepted and now_s - goal.sent_s > ACCEPTED_S:
             self.stop()
-            self._end(SkillFailed(Code.DEVICE_LOST, f"no controller takes goals of {self._options.action}"))
+            self._end(SkillFailed(Code.DEVICE_LOST, f"no controller accepts goals on {self._options.action}"))
         elif now_s - goal.sent_s > goal.duration_s + ACCEPTED_S + SETTLED_S:
             self.stop()
-            self._end(SkillFailed(Code.ARM_NOT_FOLLOWING, "the controller does not say that the motion has ended"))
+            self._end(SkillFailed(Code.ARM_NOT_FOLLOWING, "the controller did not report the end of the motion"))
 
     def _end(self, fault: SkillFailed | None) -> None:
         """The motion counts no more."""
@@ -361,10 +365,10 @@ def _duration(time_s: float) -> dict[str, int]:
 def _failure_of(values: Any) -> SkillFailed:
     """What the result of a goal says that did not succeed."""
     if not isinstance(values, Mapping):
-        return SkillFailed(Code.DEVICE_LOST, f"the goal was not taken: {values}")
+        return SkillFailed(Code.DEVICE_LOST, f"the goal was not accepted: {values}")
     code, said = values.get("error_code", 0), values.get("error_string") or "it does not say why"
     if code in NOT_FOLLOWED:
-        return SkillFailed(Code.ARM_NOT_FOLLOWING, f"the controller has given the motion up: {said}")
+        return SkillFailed(Code.ARM_NOT_FOLLOWING, f"the controller has aborted the motion: {said}")
     return SkillFailed(Code.DEVICE_LOST, f"the controller has ended the motion ({code}): {said}")
 
 

@@ -160,7 +160,7 @@ class Bank:
                 self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
         self._tell()
         if not math.isfinite(score + self.mass_mg + self.unseen_mg + self.coefficient + self.coefficient_sd):
-            raise ArithmeticError(f"the dosing law can make no number of {row}")
+            raise ArithmeticError(f"the dosing law cannot compute with {row}")
         return score
 
     def _tell(self) -> None:

@@ -304,8 +304,9 @@ def _no_way(mortar: Mortar, ladle: Ladle, bed_mm3: float) -> NoStrokeError:
     wanted = [f"a bore of {wider['bore_mm']:g} mm (if there is room for it)"] if wider else []
     wanted += [f"a depth of {lower['depth_mm']:g} mm"] if lower else []
     return NoStrokeError(
-        f"with a sheet of {ladle.slant_mm:g} mm the hand has no way along the floor of a jar of {mortar.bore_mm:g} mm "
-        f"bore and {mortar.depth_mm:g} mm depth without touching its wall; {' or '.join(wanted) or 'a mortar'} would do"
+        f"the hand, with a sheet of {ladle.slant_mm:g} mm radius, cannot move along the floor of a jar of "
+        f"{mortar.bore_mm:g} mm bore and {mortar.depth_mm:g} mm depth without touching its wall; "
+        f"{' or '.join(wanted) or 'a mortar'} would do"
     )
 
 

@@ -248,23 +248,23 @@ def _deep_enough(bed: Bed, sheet_radius_mm: float, wanted_mg: float, open_mm: fl
         stroke = stroke if may_be(deeper) else first(layered(GRAINS_LEAST, deeper_mm, FINE_GRID_MM))
     if most_mg(stroke, bed, sheet_radius_mm) <= 0.0:
         raise NoStrokeError(
-            f"{format_mass(bed.mass_mg)} of grains of {bed.powder.grain_mm:g} mm lie less thick than one of them, and "
-            f"no more than {format_mass(wanted_mg)} may be taken at once"
+            f"{format_mass(bed.mass_mg)} of powder lie thinner than one grain of {bed.powder.grain_mm:g} mm, and at "
+            f"most {format_mass(wanted_mg)} may be taken at once"
         )
     return stroke
 
 
 def _beyond_middle(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
     return NoStrokeError(
-        f"with a sheet of {sheet_radius_mm:g} mm the lip comes to the wall of a bowl of {mortar.bore_mm:g} mm bore and "
-        f"{mortar.depth_mm:g} mm depth beyond its middle, past the powder"
+        f"the lip of a sheet of {sheet_radius_mm:g} mm radius meets the wall only beyond the middle, past the powder, "
+        f"in a bowl of {mortar.bore_mm:g} mm bore and {mortar.depth_mm:g} mm depth"
     )
 
 
 def _too_full(bed: Bed) -> NoStrokeError:
     return NoStrokeError(
-        f"of {format_mass(bed.mass_mg)} in a bowl of {bed.mortar.bore_mm:g} mm bore and {bed.mortar.depth_mm:g} mm "
-        f"depth, which they nearly fill, the sheet would push some over the edge as it dips into them"
+        f"a bowl of {bed.mortar.bore_mm:g} mm bore and {bed.mortar.depth_mm:g} mm depth is nearly full with "
+        f"{format_mass(bed.mass_mg)}: the sheet would push powder over the edge as it dips in"
     )
 
 
@@ -272,8 +272,8 @@ def _never_level(mortar: Mortar, sheet_radius_mm: float) -> NoStrokeError:
     attack_deg = _attack_deg(across(mortar, 0.0, mortar.bore_mm), mortar, sheet_radius_mm)
     edge_deg = math.degrees(math.asin(mortar.bore_mm / 2 / mortar.bowl_radius_mm))
     return NoStrokeError(
-        f"a sheet of {sheet_radius_mm:g} mm meets the bowl's wall at {attack_deg:.0f} deg, which is {edge_deg:.0f} deg "
-        f"steep at its edge: the lip comes near that before the sheet is level"
+        f"the lip comes near the bowl's edge before the sheet is level: a sheet of {sheet_radius_mm:g} mm radius meets "
+        f"the wall at {attack_deg:.0f} deg, and the wall is {edge_deg:.0f} deg steep at its edge"
     )
 
 

@@ -65,14 +65,15 @@ def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
     rims_mm = (stroke.open_mm, stroke.closed_mm)
     if not 0 < min(rims_mm) <= max(rims_mm) < 2 * ladle.slant_mm:
         raise ValueError(
-            f"a sheet of {ladle.slant_mm:g} mm makes no rims of {', '.join(f'{rim_mm:g}' for rim_mm in rims_mm)}"
+            f"a sheet of {ladle.slant_mm:g} mm radius cannot make rims of "
+            f"{', '.join(f'{rim_mm:g}' for rim_mm in rims_mm)}"
         )
     narrowest_mm, widest_mm = ladle.rim_limits_mm
     if min(rims_mm) < narrowest_mm or max(rims_mm) > widest_mm:
         asked = f"a rim of {stroke.open_mm:g} mm that closes to {stroke.closed_mm:g} mm"
-        raise NoStrokeError(f"{asked} is beyond the roller's, {narrowest_mm:g} to {widest_mm:g} mm")
+        raise NoStrokeError(f"{asked} is outside the roller's range of {narrowest_mm:g} to {widest_mm:g} mm")
     if stroke.open_mm > vessel.bore_mm - 2 * LIP_GAP_MM:
-        raise NoStrokeError(f"a rim of {stroke.open_mm:g} mm does not go into a bore of {vessel.bore_mm:g} mm")
+        raise NoStrokeError(f"a rim of {stroke.open_mm:g} mm does not fit into a bore of {vessel.bore_mm:g} mm")
     return _in_space(_poses(vessel, replace(stroke, heading_deg=0.0), ladle), stroke, ladle)
 
 

@@ -144,8 +144,8 @@ class Flat:
         poses = poses[begin:]
         if len(poses) < 2:
             raise NoStrokeError(
-                f"the lip has no way along the wall: the axis would have to be tilted more than "
-                f"{stroke.max_tilt_deg:g} deg, or something of the hand would touch the vessel"
+                f"the lip cannot follow the wall: the axis would have to tilt by more than {stroke.max_tilt_deg:g} "
+                "deg, or the hand would touch the vessel"
             )
         return poses
 

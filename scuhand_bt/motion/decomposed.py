@@ -212,7 +212,7 @@ class DecomposedArm:
         everywhere = np.array([[-np.inf] * self.joints, [np.inf] * self.joints])
         q = self.solutions(pose, seams, mount, everywhere)
         if not len(q):
-            return f"no angles of its joints bring it there; stretched, it reaches {1e3 * self.reach_m(mount):.0f} mm"
+            return f"no joint angles reach it; stretched, the arm reaches {1e3 * self.reach_m(mount):.0f} mm"
         excess = np.maximum(limits_rad[0] - q, q - limits_rad[1])
         nearest = int(np.argmin(excess.max(axis=1)))
         joint = int(np.argmax(excess[nearest]))

@@ -28,16 +28,16 @@ def require_reachable(pose: ApexPose, name: str, mount: Mount, scene: Scene) -> 
     def said() -> str:
         near = nearest_reachable(pose, mount, scene)  # takes a second, so only if the text is read
         if near is None:
-            return f"{name}: {reason}; nothing near can be reached"
+            return f"{name}: {reason}; no pose near it can be reached"
         x, y, z = near.position_m * 1e3
-        return f"{name}: {reason}; the nearest apex position it can take is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+        return f"{name}: {reason}; the nearest position that the apex can reach is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
 
     raise SkillFailed.that_says(Code.ARM_UNREACHABLE, said)
 
 
 def start_in_collision(scene: Scene, q: Floats) -> SkillFailed:
     """The failure of a motion that begins where the arm touches something, or nearly does."""
-    words = f"the arm stands where it touches something, or nearly does: {closest_pair(scene, q)}"
+    words = f"where it stands, the arm touches something, or nearly does: {closest_pair(scene, q)}"
     return SkillFailed(Code.ARM_START_IN_COLLISION, words)
 
 
@@ -55,7 +55,7 @@ def no_way(scene: Scene, name: str, start: Floats, goals: Floats) -> SkillFailed
     for goal in nearest:
         way = start + np.linspace(0.0, 1.0, _LOOKED_AT)[:, None] * (goal - start)
         met.update({scene.clearance_m(q)[1] for q in way[scene.hits(way)]})
-    words = f"no way to {name} was found that is free and keeps its limits"
+    words = f"no way to {name} was found that is free of collisions and within the joints' limits"
     if met:
         words += f"; in the way: {', '.join(names for names, _ in met.most_common(_NAMED))}"
     return SkillFailed(Code.ARM_NO_PATH, words)

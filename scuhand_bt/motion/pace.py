@@ -46,7 +46,7 @@ class Pace:
         # Acceleration may compensate for tilt; a slower motion has less of it.
         again = spill_stretch(slower, mount, limit_deg)
         if again is None:
-            raise SkillFailed(Code.ARM_NO_PATH, "a way as slow as the servos' torques ask for would spill the load")
+            raise SkillFailed(Code.ARM_NO_PATH, "the servos' torques demand so slow a motion that the load would spill")
         return slower.stretched(again).keeping(limit_deg)
 
     def quick(self, motion: JointTrajectory | None) -> JointTrajectory | None:

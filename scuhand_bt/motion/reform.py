@@ -61,7 +61,7 @@ def reform_motion(
                     return motion
         except SkillFailed as error:
             why = why or error
-    raise SkillFailed(Code.ARM_NO_PATH, f"the cone cannot be given another size on the way: {why}")
+    raise SkillFailed(Code.ARM_NO_PATH, f"the cone cannot change its size on the way: {why}")
 
 
 def forming_motion(
@@ -85,7 +85,9 @@ def forming_motion(
         shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is linear in the roller's angle
         three_mm = (rims_mm[0] + shares * (rims_mm[1] - rims_mm[0])).round(1).tolist()
         if not scene_of(three_mm).curve_free(later(arm_part(both), begin_s), end_s - begin_s, both.extremes()[1][:-1]):
-            raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
+            raise SkillFailed(
+                Code.ARM_NO_PATH, f"the cone would touch something while its rim changes to {rims_mm[1]:g} mm"
+            )
     return both
 
 

@@ -73,7 +73,7 @@ def stroke_motion(near: Floats, poses: StrokePoses, scene: Scene, rates: RateLim
         motion = slowed(times_s, np.column_stack([course, roller_rad]), rates)
         if scene.proves(arm_part(motion)):
             return motion
-    raise SkillFailed(Code.ARM_NO_PATH, "no course of the arm along it is proven to touch nothing")
+    raise SkillFailed(Code.ARM_NO_PATH, "no course of the arm along the stroke is proven free of collisions")
 
 
 def arm_part(motion: JointTrajectory) -> JointTrajectory:

@@ -58,7 +58,7 @@ def courses(
     positions_m, axes, seams = (part[at] for part in poses)
     q = branches_of(positions_m, axes, seams, grid, mount)
     if q is None or not (open_ := within_limits(q, mount)).any(axis=(1, 2)).all():
-        raise SkillFailed(Code.ARM_UNREACHABLE, "the arm cannot reach all of it")
+        raise SkillFailed(Code.ARM_UNREACHABLE, "the arm cannot reach every pose of this motion")
     if mount.arm is not None and ends is None:
         open_[-1] &= mount.arm.is_bent_alike(q[-1], near, mount)
     if ends is not None:

@@ -37,7 +37,8 @@ class TooHeavyError(Exception):
 
     def __init__(self, strain: Strain) -> None:
         super().__init__(
-            f"joint {strain.joint} would have to hold {strain.torque_nm:.1f} N m, and may give {strain.limit_nm:.1f}"
+            f"joint {strain.joint} would have to hold {strain.torque_nm:.1f} N m, but can give only "
+            f"{strain.limit_nm:.1f} N m"
         )
         self.strain = strain
 
@@ -53,7 +54,9 @@ class Torques:
         self._model = pin.Model(model)
         for joint in range(1, model.njoints):
             if not self._model.inertias[joint].mass > 0:
-                raise ValueError(f"the URDF gives no mass to what joint {joint} carries: its torque cannot be told")
+                raise ValueError(
+                    f"the URDF gives no mass to the links that joint {joint} carries, so its torque cannot be computed"
+                )
         self.stall_nm: Floats = np.array(self._model.effortLimit)
         if not (np.isfinite(self.stall_nm) & (self.stall_nm > 0)).all():
             joint = int(np.argmin(np.isfinite(self.stall_nm) & (self.stall_nm > 0))) + 1

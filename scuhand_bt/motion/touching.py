@@ -53,10 +53,12 @@ class Standing:
 def standing(landmarks_mm: Floats, touched_mm: Floats, pivot_mm: Floats) -> Standing:
     """From landmarks (n, 3) and where they were touched (n, 3), n >= 3. ValueError if too few, or on one line."""
     if landmarks_mm.shape != touched_mm.shape or landmarks_mm.ndim != 2 or len(landmarks_mm) < 3:
-        raise ValueError("it takes three points or more, each touched once")
+        raise ValueError("three points or more are needed, each touched once")
     middle, met = landmarks_mm.mean(axis=0), touched_mm.mean(axis=0)
     if np.linalg.svd(landmarks_mm - middle, compute_uv=False)[1] < LEAST_SIDE_MM / 2:
-        raise ValueError(f"the points lie within {LEAST_SIDE_MM:g} mm of one line: they do not tell how it is turned")
+        raise ValueError(
+            f"the points lie within {LEAST_SIDE_MM:g} mm of one line, so they do not show how it is turned"
+        )
     u, _, vt = np.linalg.svd((landmarks_mm - middle).T @ (touched_mm - met))
     turn = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
     off_mm = np.linalg.norm((landmarks_mm - middle) @ turn.T + met - touched_mm, axis=1)
@@ -112,7 +114,7 @@ def calibrated(q: Floats) -> Calibrated:
 def _apex_in_flange(q: Floats) -> tuple[Floats, Floats]:
     """The apex in the flange and the point that it met, (3,) each [mm], if the joints' zeros are right."""
     if len(q) < LEAST_POSTURES:
-        raise ValueError(f"it takes {LEAST_POSTURES} postures or more")
+        raise ValueError(f"{LEAST_POSTURES} postures or more are needed")
     origins_m, _, seams = apex_frames(q, Mount(0.0, 0.0))
     # The flange's x is the axis of a cone that leans by a right angle.
     x = apex_frames(q, Mount(0.0, math.pi / 2))[1]

@@ -77,13 +77,13 @@ def _out(scene: Scene, begin: Floats, rates: RateLimits, held: AbstractSet[str])
     if held:
         mortars = ", ".join(sorted(held))
         raise _NoWayOutError(
-            f"{mortars} is left by `withdraw`, which a workflow calls first that goes on after a scoop"
+            f"the cone leaves {mortars} by `withdraw`; a workflow that goes on after a scoop must call it first"
         )
     if not scene.hits(begin[None, :])[0]:
-        raise _NoWayOutError("that is no collision")
+        raise _NoWayOutError("this is not a collision")
     distances_m = scene.distances_m(begin)
     if distances_m.min() < -DEEPEST_M:
-        raise _NoWayOutError(f"that is more than the {1e3 * DEEPEST_M:g} mm out of which a way is looked for")
+        raise _NoWayOutError(f"a way out is looked for only up to an overlap of {1e3 * DEEPEST_M:g} mm")
     motion = _slowly(scene, np.array(_steps(scene, begin, distances_m)))
     motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
     _require_out(scene, motion)

@@ -184,7 +184,7 @@ class Batch:
     def _run_sample(self, job: Job, sample: Sample) -> Ended | None:
         """Run a sample's job, and again if the recipe says so. Returns how the run ends, if it ends here."""
         if (barren := self._barren_source(sample)) is not None and (job.name, 1) not in self._history.jobs:
-            what = f"'{barren}' has brought nothing before, and was not tried again for this sample"
+            what = f"'{barren}' has brought nothing before, so it was not tried again for this sample"
             self._results.note(
                 self._results.result_of(sample, SoFar(), "not run", SkillFailed(Code.SCOOP_NOTHING, what), 0.0, 1)
             )
@@ -209,7 +209,7 @@ class Batch:
                 action = "flag"
             if failure is not None and action == "redo" and not self._may_redo(job, sample):
                 action = "flag"
-                no_more = "not done once more: the changer has no container to spare, and nobody is there to fill it"
+                no_more = "not done again: the changer has no container to spare, and nobody is there to fill it"
                 failure = SkillFailed(failure.code, f"{failure.detail}; {no_more}")
             verdict: SampleVerdict | None = "skipped" if action == "skip_sample" else None
             recorded = self._history.samples.get((sample.id, attempt))

@@ -166,7 +166,7 @@ class WishListener:
         match said:
             case {"wish": wish, "by": str() | None as name, "pin": str() | None as pin} if wish in get_args(Wish):
                 if not may_wish(wish, user, os.getuid()):
-                    return "only the person whose run it is can let it go on"
+                    return "only the user who started the run may let it go on"
                 # A file is read only for a name that is given, so that stopping a run needs no disk.
                 who = self._proven(name, pin, user) if name is not None else None
                 self._control.wish(cast(Wish, wish), who or Who(_name_of(user)))
@@ -179,7 +179,7 @@ class WishListener:
             case "balance":
                 shown = self._control.balance()
                 return json.dumps((shown.time_s, shown.value_mg, shown.stable) if shown is not None else None)
-        return "this request is unknown"
+        return "this command is not known"
 
     def _answered(self, answer: str, number: int, name: str | None, pin: str | None, user: int) -> str:
         """Take an answer. It must come from a person who signs it with a PIN, or from the run's owner."""
@@ -197,7 +197,7 @@ class WishListener:
         if who is None:
             return f"{name} signs with a PIN"
         if not who.signed and not may_wish("continue", user, os.getuid()):
-            return "only the person whose run it is can answer, or one who signs with a PIN"
+            return "only the user who started the run, or a person with a PIN, may answer"
         return questions.give(number, answer, who) or HEARD
 
     def _proven(self, name: str | None, pin: str | None, user: int) -> Who | None:

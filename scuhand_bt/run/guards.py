@@ -91,8 +91,10 @@ class Guards:
             return None
         if reading.time_s - self._beyond_since_s < RUNAWAY_S:
             return None
-        stands = f"the valve stands at {self._cell.hand.opening_mm:.2f} mm"
-        return SkillFailed(Code.DOSE_RUNAWAY, f"{net_mg:.0f} mg of {target_mg:g} mg are in the container, and {stands}")
+        valve = f"the valve is open by {self._cell.hand.opening_mm:.2f} mm"
+        return SkillFailed(
+            Code.DOSE_RUNAWAY, f"the container holds {net_mg:.0f} mg, the target is {target_mg:g} mg, and {valve}"
+        )
 
     def _leak(self, reading: Reading) -> SkillFailed | None:
         if self._cell.believed.pan_gross_mg is None:
@@ -104,7 +106,7 @@ class Guards:
             return None
         if not self._is_over_pan():
             return None
-        return SkillFailed(Code.HAND_LEAK, f"the valve is shut, and the pan below it gains {rate:.1f} mg/s")
+        return SkillFailed(Code.HAND_LEAK, f"the valve is shut, but the pan below it gains {rate:.1f} mg/s")
 
     def _begin_watch(self, now_s: float) -> float:
         """Restart; returns the time from which readings are settled if nothing falls [s]."""

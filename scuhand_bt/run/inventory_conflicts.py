@@ -147,16 +147,14 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
 
 
 def _another_powder(source: Source, known: StockEntry) -> str:
-    what = (
-        f"according to the inventory '{source.station}' holds {known.in_words} of {known.lot_key} ({known.origin}), not"
-    )
-    return f"{what} {source.sheet_key}; if the mortar was changed, {_set(source)}"
+    what = f"by the inventory '{source.station}' holds {known.in_words} of {known.lot_key} ({known.origin}), not"
+    return f"{what} {source.sheet_key}. If the mortar was changed, {_set(source)}"
 
 
 def _set(source: Source) -> str:
     lot = f" --lot {source.lot}" if source.lot else ""
     amount = f"{source.amount_mg:g} mg"
-    return f"record that: scuhand-bt inventory set {source.station} '{amount}' --powder {source.powder.name}{lot}"
+    return f"enter that: scuhand-bt inventory set {source.station} '{amount}' --powder {source.powder.name}{lot}"
 
 
 def _believe_source(name: str, mass_mg: float) -> Resolution:
@@ -173,10 +171,8 @@ def about_vessels(plan: Plan, stock: Stock) -> Iterator[Conflict]:
         held = stock.get(("station", station))
         if held is None or not held.powder or held.lot_key == source.sheet_key:
             continue
-        what = (
-            f"according to the inventory the vessel '{station}' holds {held.in_words} of {held.lot_key} ({held.origin})"
-        )
-        what = f"{what}; leftovers of {source.sheet_key} would go there"
+        what = f"by the inventory the vessel '{station}' holds {held.in_words} of {held.lot_key} ({held.origin})"
+        what = f"{what}; the leftover of {source.sheet_key} is to go there"
         question = f"The vessel '{station}' holds {held.lot_key}. Has it been emptied and cleaned, or changed?"
         yield Conflict(plan.recipe.marks["leftover"], what, question, (("emptied", _vessel_emptied(station)),))
         return  # a recipe has only one such vessel, for one lot
@@ -195,7 +191,7 @@ def about_rim(cell: Cell, stock: Stock) -> list[Conflict]:
     if sheet is None or sheet.operator is None or sheet.powder or abs(rim_mm - _mounted_mm(cell.spec)) <= MOUNTED_MM:
         return []
     what = f"a fresh sheet was entered ({sheet.origin}), and by the roller its rim is {rim_mm:.0f} mm wide"
-    choices = f"{_mounted_mm(cell.spec):g} mm, as it is mounted, or {rim_mm:.0f} mm, to which it was rolled since"
+    choices = f"{_mounted_mm(cell.spec):g} mm as mounted, or {rim_mm:.0f} mm as the roller says"
     question = f"A fresh sheet was entered. How wide is its rim: {choices}?"
     return [Conflict(Mark("robot/cell.yaml"), what, question, (("mounted", _as_mounted), ("rolled", lambda _: None)))]
 
@@ -226,12 +222,12 @@ def _about_hand(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
     cone, sheet = stock.get(("cone", "")), stock.get(("sheet", ""))
     is_loaded = cone is not None and (cone.mass_mg or 0.0) >= EMPTY_MG
     if cone is not None and is_loaded and (first is None or cone.lot_key != first.sheet_key):
-        what = f"according to the inventory the cone holds {cone.in_words} of {cone.lot_key} ({cone.origin})"
-        yield Conflict(mark, f"{what}; {needs}; empty it, and record that: scuhand-bt inventory set cone '0 mg'")
+        what = f"by the inventory the cone holds {cone.in_words} of {cone.lot_key} ({cone.origin})"
+        yield Conflict(mark, f"{what}; {needs}. Empty it, and enter that: scuhand-bt inventory set cone '0 mg'")
     if sheet is not None and sheet.powder and first is not None and sheet.lot_key != first.sheet_key:
-        what = f"according to the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
-        rim = f"its rim {_mounted_mm(cell):g} mm wide"
-        question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now, {rim}?"
+        what = f"by the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
+        rim = f"with a rim of {_mounted_mm(cell):g} mm"
+        question = f"The sheet has touched {sheet.lot_key}. Is a fresh sheet in the hand now, {rim}?"
         yield Conflict(mark, f"{what}; {needs}", question, (("fresh", _fresh_sheet),))
 
 
@@ -255,7 +251,7 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
         used, slots, for_kind = known.used or 0, cell.changer.slots_for(kind), f" for {kind}" if kind else ""
         if not used or used + containers <= slots:
             continue
-        what = f"according to the inventory {used} of the changer's {slots} slots{for_kind} are used ({known.origin})"
-        question = f"{used} of the changer's {slots} slots{for_kind} are used. Is it filled again now?"
+        what = f"by the inventory {used} of the changer's {slots} slots{for_kind} are used ({known.origin})"
+        question = f"{used} of the changer's {slots} slots{for_kind} are used. Has it been filled again?"
         what = f"{what}; the batch has {containers} containers" + (f" of the kind {kind}" if kind else "")
         yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", _slots_refilled),))

@@ -115,7 +115,7 @@ class Nobody:
         """Nobody leaves."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
-        raise SkillFailed(Code.OPERATOR_ABSENT, f"the run is unattended; it was to be asked: {question}")
+        raise SkillFailed(Code.OPERATOR_ABSENT, f"the run is unattended, but had to ask: {question}")
 
     def ask_until(
         self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
@@ -311,8 +311,8 @@ class OperatorChanger:
         # No other question has this answer, so one that comes a moment too late is not taken for the next one's.
         off = f"'{self._on_pan}'" if self._on_pan else "the container"
         request = (
-            f"Take {off} off the pan; the bare pan is then weighed by itself, and you are told to put the {to.name} "
-            f"'{to.id}' there. No answer is needed."
+            f"Take {off} off the pan. No answer is needed: the bare pan is then weighed by itself, and you will be "
+            f"asked to put the {to.name} '{to.id}' on it."
         )
         answer = yield from self._operator.ask_until(request, ("off", "stop"), is_bare, self._remove)
         if answer == "stop":
@@ -321,7 +321,7 @@ class OperatorChanger:
         self.news.fire()
 
     def clear(self) -> Steps[None]:
-        yield from self._do("The pan has to be weighed bare: take what stands there off it.")
+        yield from self._do("Take everything off the pan: it has to be weighed bare.")
         self._removed()
 
     def _removed(self) -> None:

@@ -30,15 +30,15 @@ def settle_roller(cell: Cell) -> Steps[None]:
     """Ask for the rim's diameter if the roller does not know it. SkillFailed operator.refused, operator.absent."""
     hand = cell.hand
     rims_mm = {rim_in_words(rim_mm): rim_mm for rim_mm in hand.possible_rims_mm}
-    asked = "The roller has lost its turns. How wide is the cone's rim?"
+    asked = "The roller has lost count of its turns. How wide is the cone's rim?"
     answer = "none"
     if rims_mm:
         answer = yield from cell.operator.ask(asked, [*rims_mm, "none", "stop"])
     if answer == "none":
         mounted_mm = cell.spec.hand.options.start_diameter_mm
         rims_mm = {"done": mounted_mm}
-        asked = "Nobody knows how far the sheet is rolled. Empty the cone, and mount the sheet anew, its rim "
-        asked += f"{mounted_mm:g} mm wide."
+        asked = "It is not known how far the sheet is rolled. Empty the cone, and mount the sheet again, with a rim of "
+        asked += f"{mounted_mm:g} mm."
         answer = yield from cell.operator.ask(asked)
         cell.believed.cone_spilled()
     if answer not in rims_mm:
@@ -83,8 +83,8 @@ class _Found:
 
     def in_words(self, container: str) -> str:
         return (
-            f"After the outage '{container}' weighs as if it held {self.held.mass_mg:.1f} mg, "
-            f"and {self.least_mg:.1f} to {self.most_mg:.1f} mg are possible"
+            f"After the outage '{container}' weighs as if it held {self.held.mass_mg:.1f} mg; "
+            f"{self.least_mg:.1f} to {self.most_mg:.1f} mg are possible"
         )
 
 
@@ -151,7 +151,7 @@ def _is_the_same(cell: Cell, bracket: Bracket, found: _Found) -> Steps[bool]:
     elif bracket.lot and found.held.mass_mg > found.least_mg - found.expected.mass_mg:
         choices.insert(1, "same")
     asked = f"{found.in_words(bracket.container)}. Is it another container"
-    asked += ", or the same, and counts with what it weighs now?" if "same" in choices else "?"
+    asked += ", or the same one? The same one counts with what it weighs now." if "same" in choices else "?"
     try:
         answer = yield from cell.operator.ask(asked, choices)
     except SkillFailed as error:

@@ -133,7 +133,7 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     elif result.code == Code.BALANCE_BRACKET_OPEN and all(dose.bracket == "closed" for dose in doses):
         changes |= {"code": None, "detail": None}
     if others:
-        what = f"'{closed.container}' holds {' and '.join(others)} by a dose that broke off"
+        what = f"'{closed.container}' holds {' and '.join(others)} from a dose that broke off"
         code, detail = (changes.get(name, getattr(result, name)) for name in ("code", "detail"))
         if code is None:
             changes |= {"code": Code.DOSE_NOT_REACHED, "detail": what}
@@ -155,8 +155,8 @@ def doubted(result: SampleResult, stepped_mg: float, drift_mg_per_s: float) -> S
         if result.code is None and changes["verdict"] != result.verdict:
             seen = f"drift by {drift_mg_per_s:.3f} mg/s"
             if stepped_mg > 0.0:
-                seen = f"step by {stepped_mg:.2f} mg, or its display to hold back so much,"
-            detail = f"the balance's zero was seen to {seen} in this run, and may have in this dose"
+                seen = f"step by {stepped_mg:.2f} mg (or its display held back that much)"
+            detail = f"the balance's zero was seen to {seen} in this run, and may have done so in this dose, too"
             changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": detail}
     return _reckoned(result.model_copy(update=changes))
 

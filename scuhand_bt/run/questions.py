@@ -12,25 +12,27 @@ from scuhand_bt.clock import Signal, wall_time
 MEANINGS: Mapping[str, str] = {
     "go": "the action begins",
     "done": "it is done: the run goes on",
-    "off": "it is off the pan, which the balance has not shown by itself",
-    "stop": "the run stops and can be resumed; at an action's question by what the recipe says of `operator.refused`",
+    "off": "it is off the pan, but the balance has not noticed",
+    "stop": (
+        "the run stops and can be resumed; at an action's question, the recipe's policy for `operator.refused` decides"
+    ),
     "flag": "the dose is kept and marked; the batch goes on",
     "redo": "the sample is done once more in a new container, then flagged",
     "skip_sample": "the sample is left undone; the batch goes on",
-    "again": "the action begins again, from its beginning",
+    "again": "the action starts again from its beginning",
     "same": "the same container stands there, and counts with what it weighs now",
-    "another": "another container stands there: the one that was dosed into counts no more, and its sample fails",
-    "zero": "only the balance's zero has moved: the weighings before are corrected by it",
-    "powder": "powder has come or gone: what the pan shows counts as it is",
+    "another": "another container stands there: the dosed one no longer counts, and its sample fails",
+    "zero": "only the balance's zero has moved: the earlier weighings are corrected by it",
+    "powder": "powder was added or lost: what the pan shows counts as it is",
     "recipe": "the source holds what the recipe says",
     "inventory": "the source holds what the inventory says",
     "fresh": "a fresh sheet is in the hand",
-    "emptied": "nothing of what was in the vessel is in it",
+    "emptied": "the vessel is empty and clean, or was changed",
     "filled": "every slot of the changer holds a container again",
 }
 """What an answer says, and what then happens. A lab's skill may offer others, which its question must explain."""
 ANSWERED = "it was answered already"
-ANOTHER = "it is not the question that waits now"
+ANOTHER = "another question is waiting now"
 
 
 @dataclass(frozen=True)

@@ -66,13 +66,15 @@ def _settle(journal: Journal, cell: Cell, skill: Skill[Any], name: str, changed_
         return "again"
     if changed_from is not None:
         before = f"'{changed_from.skill}' ({changed_from.outcome}, {changed_from.inputs})"
-        question = f"The workflow or the recipe has changed: where {before} was, '{name}' is now. Do it?"
+        question = f"The workflow or the recipe has changed: '{name}' now stands in the place of {before}. Do it?"
     else:
-        question = f"'{name}' was interrupted ({skill.model_dump_json()}). Begin it again, or is it done?"
+        question = f"'{name}' was interrupted ({skill.model_dump_json()}). Is it to begin again, or is it done?"
     choices = ["again", "stop"] if skill.result_type() is not type(None) else ["again", "done", "stop"]
     answer = yield from cell.operator.ask(question, choices)
     if answer == "stop":
-        raise SkillFailed(Code.OPERATOR_REFUSED, f"'{name}' was interrupted, and is not to be begun again")
+        raise SkillFailed(
+            Code.OPERATOR_REFUSED, f"'{name}' was interrupted, and the operator did not let it begin again"
+        )
     return answer
 
 
@@ -83,12 +85,15 @@ def _compare_pan(journal: Journal, cell: Cell, gross_mg: float) -> Steps[None]:
     journal.event(PanCompared(**dict(mean.written()), before_mg=gross_mg))
     if abs(drift_mg) > max(1.0, DRIFT_DIGITS * cell.spec.balance.readability_mg):
         answer = yield from cell.operator.ask(
-            f"The pan shows {drift_mg:+.1f} mg against before the interruption, and nothing was being dosed. Has only "
-            "the balance's zero moved ('zero'), or has powder come or gone ('powder')?",
+            f"The reading of the pan has changed by {drift_mg:+.1f} mg since the interruption, and nothing was being "
+            "dosed. Has only the balance's zero moved ('zero'), or was powder added or lost ('powder')?",
             ("zero", "powder", "stop"),
         )
         if answer == "stop":
-            raise SkillFailed(Code.OPERATOR_REFUSED, f"the pan shows {drift_mg:+.1f} mg against before")
+            raise SkillFailed(
+                Code.OPERATOR_REFUSED,
+                f"the reading of the pan has changed by {drift_mg:+.1f} mg since the interruption",
+            )
         if answer == "powder":
             drift_mg = 0.0
     cell.believed.zero_moved(drift_mg, weighing_of(mean))

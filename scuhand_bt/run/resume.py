@@ -67,8 +67,8 @@ def checked_history(path: Path) -> History:
     """The history of a run whose hash chain is whole and that has something left to do. Raises SourceError if not."""
     with open_verified(path) as (database, version, verified):
         if version < SCHEMA_VERSION:
-            what = "an older scuhand-bt wrote it, without all that resuming needs"
-            raise _refused(path, f"{what}: start a new run, with the samples that are left")
+            what = "an older scuhand-bt wrote it, and recorded less than resuming needs"
+            raise _refused(path, f"{what}: start a new run with the samples that are left")
         if verified.problem == NO_ENTRY:
             raise _refused(path, "the journal is empty: nothing had moved when the run ended; start a new run")
         if verified.problem is not None:
@@ -89,7 +89,7 @@ def _left_of_complete(history: History) -> str:
     if not bad:
         return "nothing is left to do"
     named = listed([f"'{one.id}' ({', '.join(filter(None, (one.verdict, one.code)))})" for one in bad], "sample")
-    return f"nothing is done twice, and not good are {named}; for these start a new run, with a recipe of them alone"
+    return f"nothing is done again. Not good: {named}. For these, begin a new run, with a recipe of them alone"
 
 
 def its_places(path: Path, run: RunBegun) -> tuple[Path, Path]:
@@ -145,10 +145,10 @@ def _overtaken(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
         unplanned = {job.name: sample.id for sample in samples for job in _unplanned(sample, plan, lab)}
         name = unplanned.get(unfinished[1], unfinished[1])
         if name not in names:
-            yield f"'{name}' was under way, but is no longer in this plan; put it back (to skip it, use `on_failure`)"
+            yield f"'{name}' was under way, but this plan no longer has it. Put it back; to skip it, use `on_failure`"
     new = next((number for number, name in enumerate(names) if name not in begun), len(names))
     if (later := next((name for name in names[new:] if name in begun), None)) is not None:
-        yield f"'{later}' had begun, but in this plan '{names[new]}' comes before it; put new samples after it"
+        yield f"'{later}' had begun, but in this plan '{names[new]}' comes before it. Put new samples after it"
 
 
 def _unplanned(sample: Sample, plan: Plan, lab: Lab) -> list[Job]:

@@ -111,7 +111,7 @@ class Runner:
         if moving := self._still_moving():
             self.make_safe()
             # Not subject to `on_failure`: nothing may go on beside a device that does not stop.
-            busy = SkillFailed(Code.DEVICE_BUSY, f"{moving} moved on for {SAFE_TIMEOUT_S:g} s after the job")
+            busy = SkillFailed(Code.DEVICE_BUSY, f"{moving} still moved {SAFE_TIMEOUT_S:g} s after the job")
             return Outcome(self._guards.look() or busy, "tripped")
         return Outcome(None if tree.root.status is Status.SUCCESS else failure_of(tree.root))
 

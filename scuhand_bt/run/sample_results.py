@@ -106,7 +106,8 @@ class SampleResults:
         for result in list(self.by_id.values()):
             if result.code is None and any(dose.bracket == "open" for dose in result.doses):
                 what = (
-                    "after the dose its container was not taken off, and the bare pan not weighed (`remove_container`)"
+                    "the container was not taken off after the dose, so the bare pan was not weighed: call "
+                    "`remove_container`"
                 )
                 self.note(result.model_copy(update={"code": Code.BALANCE_BRACKET_OPEN, "detail": what}))
 
@@ -124,7 +125,7 @@ class SampleResults:
 
 def _broke_off(failure: SkillFailed | None, seen_mg: float) -> SkillFailed:
     """The failure of a sample with a dose that broke off unweighed: it has no row in the results, and is not good."""
-    seen = f"; by the balance's last reading it had brought {seen_mg:.0f} mg" if seen_mg > 0.0 else ""
+    seen = f"; at the balance's last reading it had brought {seen_mg:.0f} mg" if seen_mg > 0.0 else ""
     what = f"a dose broke off, and was not weighed{seen}"
     if failure is None:
         return SkillFailed(Code.DOSE_NOT_REACHED, what)

@@ -120,7 +120,7 @@ class Session:
             self.journal = _open_journal(path, is_new=resumes is None, durable=durable, is_kept=is_kept)
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
             if self._history is not None and self.journal.head != self._history.head:
-                problem = "another process has continued it meanwhile; resume it again, to see its state now"
+                problem = "another process has gone on with it meanwhile; resume it again to see its present state"
                 raise SourceError([Problem(Mark(str(path)), problem)])
             self._make_cell(motion, opened)
             if not self.cell.simulated:
@@ -222,7 +222,9 @@ class Session:
             broke_off = resumes.history.at if resumes is not None else ""
             self._records.learnt.recall(self.cell, datetime.now().astimezone(), broke_off)
             for name in self._records.learnt.unreadable():
-                self.warnings.append(f"what another version learnt of '{name}' cannot be read: it is learnt again")
+                self.warnings.append(
+                    f"what another version has learnt of '{name}' cannot be read: it will be learnt again"
+                )
         if not self._options.is_kept:
             return
         if resumes is None:
@@ -292,8 +294,8 @@ class Session:
                 if truth is not None and (masses_mg := truth.masses_mg):
                     self.journal.event(Matter(**masses_mg))
                     if (spilled_mg := masses_mg.get("spilled", 0.0)) >= TOLD_SPILLED_MG:
-                        spilled = f"By the simulation {format_mass(spilled_mg)} of powder were spilled"
-                        self.notices.append(f"{spilled}: `scuhand-bt show` shows what was done meanwhile")
+                        spilled = f"In the simulation {format_mass(spilled_mg)} of powder were spilled"
+                        self.notices.append(f"{spilled}: `scuhand-bt show` has what was done meanwhile")
                 if truth is not None and (account := truth.fault_account):
                     self._account = [RuleAccount(**rule) for rule in account]
                     self.journal.event(FaultRules(rules=self._account))

@@ -100,10 +100,10 @@ def stroke_worth(cell: CellSpec, source: Source, bed_mg: float, worth_mg: float)
     else:
         if brings_mg >= worth_mg:
             return stroke
-        what, brings = f"of {format_mass(bed_mg)} a stroke in this", f"brings {format_mass(brings_mg)}"
-        why = f"{what} jar {brings}; fill in more, or take a mortar"
+        brings = f"a stroke brings only {format_mass(brings_mg)} of {format_mass(bed_mg)}"
+        why = f"{brings} in this jar; fill in more, or take a mortar"
         if not is_jar:
-            why = f"{what} bowl {brings} without a heap over its edge"
+            why = f"{brings} in this bowl, without a heap over its edge"
     if not is_jar:  # for a jar, `why` has the remedy
         why += _would_do(cell, source, bed_mg, worth_mg)
     raise MortarCannotBeScooped(source.name, why)
@@ -195,19 +195,19 @@ def strokes_in_jar(motion: "MotionPlanner", cell: CellSpec, demand: Demand) -> N
         raise SkillFailed(Code.ARM_NO_PATH, f"at '{source.station}' no stroke is possible in any direction: {why}")
     if sure < len(doses_mg):
         brings = f"{sure} of its doses ({format_mass(sum(doses_mg[:sure]))})"
-        of = f"of {format_mass(source.amount_mg)} in this jar the strokes that the arm can make at '{source.station}'"
+        of = f"of {format_mass(source.amount_mg)} in this jar"
         needed = f"{len(doses_mg)} ({format_mass(sum(doses_mg))}) are needed"
         needed += " before it is refilled" if source.refill_mg is not None else ""
-        gone = returned = ""
+        gone, returned = "", "Fill"
         if source.is_discarded:
-            gone = ", what is left of each load is thrown away"
+            gone = ", and what is left of each load is thrown away"
             if sure_doses(jar, doses_mg, everywhere_deg, is_discarded=False, may_be=arm_can) == len(doses_mg):
-                returned = "write `leftover: return`, with which all are, "
+                returned = "Write `leftover: return`, with which all doses are sure, fill"
         raise MortarCannotBeScooped(
             source.name,
-            f"{of} are sure to bring {brings}, but {needed}{gone}; the rest lies before the wall and beside the "
-            f"strokes: {returned}fill in more, take a mortar, or a place where the arm can make strokes in more "
-            "directions (`scuhand-bt reach --task scoop`)",
+            f"the strokes that the arm can make at '{source.station}' are sure to bring {brings} {of}, but {needed}"
+            f"{gone}. The rest lies in front of the wall and beside the strokes. {returned} in more, take a mortar, or "
+            "a place where the arm can make strokes in more directions (`scuhand-bt reach --task scoop`)",
         )
 
 

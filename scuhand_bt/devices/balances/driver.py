@@ -22,7 +22,7 @@ from scuhand_bt.failures import Code, SkillFailed
 ADJUSTMENT_S = 300.0
 """How long an internal adjustment may keep the balance silent."""
 UNDERLOAD = (
-    "it is in underload: put its pan in place; or, if it was switched on with something on it, clear the pan, and "
+    "it is in underload: put its pan in place. If it was switched on with something on the pan, clear the pan, and "
     "switch it off and on"
 )
 AVERAGED = 5
@@ -258,11 +258,11 @@ class SerialBalance:
         if not self._unread:
             return "it is silent; is it switched on, and are speed and parity as in robot/cell.yaml?"
         if SPOILT in self._unread:
-            return "its bytes fail the check of their parity; correct `bits` in robot/cell.yaml, or look at its cable"
+            return "its bytes fail the parity check; correct `bits` in robot/cell.yaml, or look at its cable"
         shown = repr(self._unread[:40].strip())[2:-1]
         return (
-            f"it sends what is no line of {self._dialect.name}, such as '{shown}'; set the balance to that format, or "
-            "correct `driver`, speed and parity in robot/cell.yaml"
+            f"it sends lines that are not in the format {self._dialect.name}, such as '{shown}'; set the balance to "
+            "that format, or correct `driver`, speed and parity in robot/cell.yaml"
         )
 
     def _failure(self, trouble: _Trouble) -> SkillFailed:

@@ -44,7 +44,7 @@ class Misfit:
     what_to_do: str
 
     def __str__(self) -> str:
-        return f"it shows {self.found}, and not {self.expected}; {self.what_to_do}"
+        return f"it shows {self.found} instead of {self.expected}; {self.what_to_do}"
 
 
 def misfit(weight: Weight, unit: str, spec: BalanceSpec) -> Misfit | None:
@@ -52,7 +52,7 @@ def misfit(weight: Weight, unit: str, spec: BalanceSpec) -> Misfit | None:
     one said."""
     per_unit_mg = MILLIGRAMS_PER_UNIT.get(unit)
     if per_unit_mg is None:
-        return Misfit(f"'{unit}', which is no mass", f"{', '.join(MILLIGRAMS_PER_UNIT)}", "set it to g")
+        return Misfit(f"'{unit}' (not a unit of mass)", f"{', '.join(MILLIGRAMS_PER_UNIT)}", "set it to g")
     if spec.options.unit not in (None, unit):
         do = f"set it to {spec.options.unit}, or write `unit: {unit}` in robot/cell.yaml"
         return Misfit(f"'{unit}'", f"'{spec.options.unit}'", do)
@@ -69,7 +69,7 @@ def _in_steps_of(step_mg: float, spec: BalanceSpec) -> Misfit:
     do = f"write `readability: {step_mg:g} mg` for the balance in robot/cell.yaml"
     if step_mg > spec.readability_mg:
         do += ", or set the balance to show its finest steps"
-    return Misfit(f"steps of {step_mg:g} mg", f"of {spec.readability_mg:g} mg", do)
+    return Misfit(f"steps of {step_mg:g} mg", f"{spec.readability_mg:g} mg", do)
 
 
 class Plausibility:

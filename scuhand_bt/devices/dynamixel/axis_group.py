@@ -111,5 +111,5 @@ class AxisGroup:
             if not low - HALF_COUNT_RAD < goal < high + HALF_COUNT_RAD:
                 what = f"{state.axis.name} would go to {np.degrees(goal):.1f}°"
                 window = f"{np.degrees(low):.1f}..{np.degrees(high):.1f}°"
-                return SkillFailed(Code.ARM_JOINT_LIMIT, f"{what}, and servo {state.axis.servo} allows {window}")
+                return SkillFailed(Code.ARM_JOINT_LIMIT, f"{what}, but servo {state.axis.servo} allows only {window}")
         return None

@@ -320,7 +320,7 @@ class DynamixelBus:
             if answer is None or len(answer) == STATUS_OVERHEAD + 3:
                 return
         self._suspect = servo
-        raise NoAnswer(f"servo {servo} answers other questions than it is asked")
+        raise NoAnswer(f"servo {servo} answers other requests than it was sent")
 
 
 def _status(packet: Sequence[int]) -> Status:

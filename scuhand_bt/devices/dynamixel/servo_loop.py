@@ -95,7 +95,7 @@ class ServoChain:
         with self.bus.patience():
             without = [axis.name for axis in self._axes if not self.bus.read(axis.servo, r.TORQUE_ENABLE)]
         if without:
-            what = f"{', '.join(without)} on {self.bus.url} have no torque: see to the arm, and say that it may be held"
+            what = f"{', '.join(without)} on {self.bus.url} have no torque: support the arm, and allow them to hold it"
             raise SkillFailed(Code.ARM_LIMP, f"{what} where it is (`resume` at a terminal, or with --yes)")
 
     def close(self) -> None:
@@ -164,7 +164,7 @@ class ServoChain:
         if not self._liveness.is_alive and (watched := [group for group in moving if group.watched]):
             pause_ms = self._liveness.silent_s * 1000
             for group in watched:
-                detail = f"the run's tick hung for {pause_ms:.0f} ms; the arm was stopped"
+                detail = f"the run hung for {pause_ms:.0f} ms; the arm was stopped"
                 group.freeze(SkillFailed(Code.COMPUTER_BUSY, detail))
             self._hold()
         for group in moving:
@@ -232,7 +232,7 @@ class ServoChain:
             without = [state for state in self._states if not (state.has_torque or state.hardware_error)]
             if without:
                 names, volts = ", ".join(state.axis.name for state in without), without[0].voltage_v
-                what = f"{names} lost torque: the supply was off, or is too weak; now it has {volts:.1f} V"
+                what = f"{names} lost torque: the supply was off, or is too weak; it has {volts:.1f} V now"
                 self.limp = SkillFailed(Code.ARM_LIMP, what)
                 self._freeze(self.limp)
                 self.news.fire()
