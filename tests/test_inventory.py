@@ -165,11 +165,11 @@ def test_a_real_run_asks_before_another_lot_comes_to_what_earlier_runs_have_put_
     Inventory(tmp_path, "starter").enter(powder(5000.0))
     stopped = real(into_jar, Answering(), lab=lab, stop_at=150)[1]
     Inventory(tmp_path, "starter").enter(StockEntry("station", "jar", "monosodium_glutamate", "", 3.0))
-    refused = "according to the inventory the vessel 'jar' holds 3.0 mg of monosodium_glutamate (operator "
+    refused = "by the inventory the vessel 'jar' holds 3.0 mg of monosodium_glutamate (operator "
     for goes_on in (None, stopped):
         problems = problems_of(lambda one=goes_on: real(into_jar, lab=lab, unattended=True, goes_on=one))
         (problem,) = (one for one in problems if one.startswith(f"7:11: {refused}"))
-        assert problem.endswith("leftovers of glass_beads/L7 would go there")
+        assert problem.endswith("the leftover of glass_beads/L7 is to go there")
     operator = Answering("emptied")
     result, session = real(into_jar, operator, lab=lab, goes_on=stopped)
     assert result.exit_code in (0, 1)
@@ -220,6 +220,4 @@ def test_a_real_run_settles_its_doubts_before_anything_moves(
     assert "operator.refused" in refused.reason
     assert [sample.verdict for sample in refused.samples] == ["not run", "not run"]
     Inventory(tmp_path, "starter").enter(powder(3000.0, lot="L8"))
-    assert problems_of(real)[0].startswith(
-        f"{SOURCE}: according to the inventory 'mortar_bay' holds 3.0000 g of glass_beads/L8"
-    )
+    assert problems_of(real)[0].startswith(f"{SOURCE}: by the inventory 'mortar_bay' holds 3.0000 g of glass_beads/L8")

@@ -89,7 +89,7 @@ def test_what_no_sample_takes_from_does_not_come_into_a_vessel(inventory: Call, 
     code, said, noted = inventory("check", "--fast", path)
     assert (code, "[unused-source]" in said, "the vessel 'jar'" in noted) == (0, True, False)
     inventory("inventory", "set", "jar", "2 g", "--powder", "glass_beads", "--lot", "L8")
-    assert "leftovers of glass_beads/L7 would go there" in inventory("check", "--fast", path)[2]
+    assert "the leftover of glass_beads/L7 is to go there" in inventory("check", "--fast", path)[2]
 
 
 def test_less_than_nothing_is_refused(inventory: Call) -> None:
@@ -103,10 +103,7 @@ def test_check_notes_what_a_real_run_would_ask_and_dry_runs_do_not_mind(inventor
     inventory("inventory", "set", "mortar_bay", "3 g", "--powder", "glass_beads", "--lot", "L7")
     code, _, noted = inventory("check", path)
     assert code == 0
-    assert (
-        f"Note: {path}:{AMOUNT}: 'beads' holds 3.0000 g of glass_beads/L7 according to the inventory (operator "
-        in noted
-    )
+    assert f"Note: {path}:{AMOUNT}: 'beads' holds 3.0000 g of glass_beads/L7 by the inventory (operator " in noted
     notes = json.loads(inventory("plan", path, "--trials", 0, "--json")[1])["notes"]
     assert any("the recipe says 5.0000 g" in note for note in notes)
     inventory("inventory", "set", "mortar_bay", "3 g", "--lot", "L8")

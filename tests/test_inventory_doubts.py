@@ -44,7 +44,7 @@ def test_amounts_that_agree_are_no_doubt(desk: Desk, mass_mg: float) -> None:
 
 def test_a_recipe_that_says_more_is_told_where_and_who_says_otherwise(desk: Desk) -> None:
     assert noted(desk, powder(4300.0)) == [
-        f"{AMOUNT}: 'beads' holds about 4.3000 g of glass_beads/L7 according to the inventory (run r1, today); "
+        f"{AMOUNT}: 'beads' holds about 4.3000 g of glass_beads/L7 by the inventory (run r1, today); "
         "the recipe says 5.0000 g"
     ]
     (refilled,) = noted(desk, powder(9000.0))
@@ -56,7 +56,7 @@ def test_what_is_discarded_of_the_inventorys_figure_is_told_where_it_is_asked_wh
     gone = "its samples need 150.0 mg with losses, and because scoops bring more than a dose, "
     gone += "about 0.6 g are discarded before"
     (doubt,) = _doubts(desk, powder(600.0), recipe=discarding)
-    assert f"600.0 mg of glass_beads/L7 according to the inventory (run r1, today), {gone}" in doubt.what
+    assert f"600.0 mg of glass_beads/L7 by the inventory (run r1, today), {gone}" in doubt.what
     assert doubt.question.endswith(
         f"or about 600.0 mg (inventory)? Of about 600.0 mg {gone} the last one: it may run out."
     )
@@ -67,9 +67,7 @@ def test_what_is_discarded_of_the_inventorys_figure_is_told_where_it_is_asked_wh
 
 def test_too_little_for_the_samples_is_said(desk: Desk) -> None:
     (asked,) = noted(desk, powder(100.0))
-    assert (
-        "100.0 mg of glass_beads/L7 according to the inventory (run r1, today), too little: its samples need 1" in asked
-    )
+    assert "100.0 mg of glass_beads/L7 by the inventory (run r1, today), too little: its samples need 1" in asked
     scarce = RECIPE.replace("amount: 5 g", "amount: 150 mg")
     (refused,) = noted(desk, powder(140.0), recipe=scarce)
     assert refused.endswith(
@@ -81,9 +79,7 @@ def test_too_little_for_the_samples_is_said(desk: Desk) -> None:
 def test_another_powder_or_lot_is_refused_by_a_real_run_with_what_to_say(desk: Desk) -> None:
     for entry in (powder(4000.0, lot="L8"), powder(4000.0, lot="", name="titanium_dioxide")):
         (problem,) = problems_of(lambda entry=entry: require_resolvable(_doubts(desk, entry), unattended=False))
-        assert problem.startswith(
-            f"{SOURCE}: according to the inventory 'mortar_bay' holds about 4.0000 g of {entry.lot_key}"
-        )
+        assert problem.startswith(f"{SOURCE}: by the inventory 'mortar_bay' holds about 4.0000 g of {entry.lot_key}")
         assert "scuhand-bt inventory set mortar_bay '5000 mg' --powder glass_beads --lot L7" in problem
     assert noted(desk, powder(0.0, lot="L8")) == []
 
@@ -92,9 +88,9 @@ def test_a_cone_or_a_sheet_of_another_lot_is_doubted(desk: Desk) -> None:
     cone = StockEntry("cone", "", "glass_beads", "L8", 300.0)
     sheet = StockEntry("sheet", "", "glass_beads", "L8", used=2)
     of_cone, of_sheet = noted(desk, cone, sheet)
-    assert of_cone.startswith(f"{SOURCE}: according to the inventory the cone holds about 300.0 mg of glass_beads/L8")
+    assert of_cone.startswith(f"{SOURCE}: by the inventory the cone holds about 300.0 mg of glass_beads/L8")
     assert "inventory set cone '0 mg'" in of_cone
-    assert of_sheet.startswith(f"{SOURCE}: according to the inventory the sheet has touched glass_beads/L8")
+    assert of_sheet.startswith(f"{SOURCE}: by the inventory the sheet has touched glass_beads/L8")
     assert noted(desk, replace(cone, lot="L7"), replace(sheet, lot="L7")) == []
     assert noted(desk, StockEntry("cone", mass_mg=0.0), StockEntry("sheet", used=3)) == []
 
@@ -105,7 +101,7 @@ def test_a_recipe_without_powder_needs_an_empty_cone(desk: Desk) -> None:
         desk, StockEntry("cone", "", "glass_beads", "L7", 300.0), StockEntry("sheet", "", "x", used=2), recipe=check
     )
     assert conflict.startswith(
-        "1:1: according to the inventory the cone holds about 300.0 mg of glass_beads/L7 (run r1, today); this rec"
+        "1:1: by the inventory the cone holds about 300.0 mg of glass_beads/L7 (run r1, today); this rec"
     )
 
 

@@ -127,7 +127,7 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
             continue
         mark = marks[f"sources.{name}.amount"]
         amount, left = format_mass(source.amount_mg), known.in_words
-        what = f"'{name}' holds {left} of {source.sheet_key} according to the inventory ({known.origin})"
+        what = f"'{name}' holds {left} of {source.sheet_key} by the inventory ({known.origin})"
         # The plan's refills are scheduled for its own `amount`, so a refilled source needs that at the start.
         enough_mg = demand.needed_mg if source.refill_mg is None else min(demand.needed_mg, source.amount_mg)
         needs = f"its samples need {format_mass(demand.needed_mg)} with losses"
@@ -238,9 +238,9 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
         counts = [one for one in stock.values() if one.kind == "changer" and bool(one.name) == bool(last.name)]
         used = sum(one.used or 0 for one in counts)
         how = "by kind" if cell.changer.kinds else "in the plan's order"
-        what = f"according to the inventory {used} slots of the changer were used ({last.origin}), filled in"
+        what = f"by the inventory {used} slots of the changer were used ({last.origin}) when it was filled otherwise"
         question = f"The changer is to be filled {how} now. Has that been done?"
-        what = f"{what} another way than robot/cell.yaml says now ({how})"
+        what = f"{what} than robot/cell.yaml says now ({how})"
         yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", _slots_refilled),))
         return
     batch = Counter(one.name for sample in plan.recipe.samples for one in sample.all_containers)

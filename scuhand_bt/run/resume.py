@@ -161,7 +161,7 @@ def _other_slots(history: History, lab: Lab) -> Iterator[str]:
     slots = history.run.devices.get("changer", {}).get("slots", changer.slots)
     if slots != changer.slots and changer.driver != "operator":
         was, now = _in_words(slots), _in_words(changer.slots)
-        put_back = "put them back in robot/cell.yaml, or start a new run for the rest"
+        put_back = "put them back in robot/cell.yaml, or begin the rest as a new run"
         yield f"the changer's slots were {was} when this run began, and are {now} now; {put_back}"
 
 
@@ -174,7 +174,7 @@ def _other_sources(history: History, plan: Plan) -> Iterator[str]:
         mortar = was.mortar or now.mortar.name  # older journals do not name it
         if (before, mortar) != (now.sheet_key, now.mortar.name):
             there = f"{before} in '{mortar}' when this run began, and is {now.sheet_key} in '{now.mortar.name}' now"
-            yield f"source '{name}' was {there}; put it back in the recipe, or start a new run for the rest"
+            yield f"source '{name}' was {there}; put it back in the recipe, or begin the rest as a new run"
 
 
 def _in_words(slots: object) -> str:

@@ -198,7 +198,7 @@ class Session:
         begun = self._history.run if self._history is not None else None
         if begun is not None and begun.seed is None and begun.simulated != self.cell.simulated:
             there, here = ("twins", "real devices") if begun.simulated else ("real devices", "twins")
-            problem = f"it was begun on {there}, but {here} are at the ports of robot/cell.yaml now"
+            problem = f"it was begun on {there}, and {here} are at the ports of robot/cell.yaml now"
             raise SourceError([Problem(Mark(str(path)), problem)])
 
     def _meet_balance(self) -> None:
