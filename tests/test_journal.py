@@ -18,7 +18,6 @@ from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobS
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.hash_chain import COLUMNS
 from scuhand_bt.journal.history import read_history
-from scuhand_bt.journal.migrations import in_memory
 from scuhand_bt.journal.reader import open_contents, open_journal, read
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.run_events import Ended, Paused, Resumed, RunBegun
@@ -206,21 +205,6 @@ def test_damaged_journals_end_in_a_clean_error_or_a_correct_result(run: Path, tm
     assert figures["mutations_found"] > 10
     assert figures["mutations_found_by_the_head"] > 10
     assert figures["mutations_refused"] > 10
-
-
-def test_entries_that_do_not_fit_leave_no_database_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Python 3.13 warns of each one that is found open when memory is tidied up."""
-    connect, opened = sqlite3.connect, list[sqlite3.Connection]()
-
-    def kept(*arguments: Any, **options: Any) -> sqlite3.Connection:
-        opened.append(connect(*arguments, **options))
-        return opened[-1]
-
-    monkeypatch.setattr(sqlite3, "connect", kept)
-    with pytest.raises(sqlite3.ProgrammingError, match="bindings"):
-        in_memory(iter([((), b"")]))  # type: ignore[list-item]
-    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
-        opened[0].execute("SELECT 1")
 
 
 def test_the_judge_of_damaged_journals_notices_what_the_chain_would_not(run: Path) -> None:

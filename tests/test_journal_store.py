@@ -2,6 +2,7 @@
 
 import itertools
 import shutil
+import sqlite3
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from test_resume import Run, Watch
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.liveness import LIMIT_S, Liveness
 from scuhand_bt.events.entry import Note
+from scuhand_bt.journal.migrations import in_memory
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.store import Row, Store
 from scuhand_bt.journal.writer import LOOK_S, Journal
@@ -301,3 +303,44 @@ def test_an_action_waits_for_a_slow_disk_and_the_control_does_not(
     assert max(later - sooner for sooner, later in itertools.pairwise(at_work_s)) < LIMIT_S
     doing = [(row["skill"], row["outcome"]) for row in read(session.journal.path, "action")]
     assert doing[:2] == [("check_valve", "done")] * 2
+
+
+# --- Python 3.13 warns of a database that is found open when memory is tidied up
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[sqlite3.Connection]:
+    """All databases that are opened."""
+    connect, opened = sqlite3.connect, list[sqlite3.Connection]()
+
+    def kept(*arguments: Any, **options: Any) -> sqlite3.Connection:
+        opened.append(connect(*arguments, **options))
+        return opened[-1]
+
+    monkeypatch.setattr(sqlite3, "connect", kept)
+    return opened
+
+
+def is_open(database: sqlite3.Connection) -> bool:
+    try:
+        database.execute("SELECT 1")
+    except sqlite3.ProgrammingError:
+        return False
+    return True
+
+
+def test_a_file_that_is_no_database_and_entries_that_do_not_fit_leave_none_open(
+    opened: list[sqlite3.Connection], tmp_path: Path
+) -> None:
+    (tmp_path / "text").write_text("no database, whatever its name says, and longer than a header", encoding="utf-8")
+    with pytest.raises(sqlite3.DatabaseError):
+        Store(tmp_path / "text", durable=False)
+    with pytest.raises(sqlite3.ProgrammingError):
+        in_memory(iter([((), b"")]))  # type: ignore[list-item]
+    assert [is_open(database) for database in opened] == [False, False]
+    store = Store(tmp_path / "runs" / "a.sqlite", durable=False)
+    assert store.moved([((), b"")]) is None  # type: ignore[list-item]
+    assert len(opened) > 3
+    assert [database for database in opened if is_open(database)] == [store.db]
+    store.close()
+    assert {path.name for path in tmp_path.iterdir()} == {"text", "runs"}

@@ -6,9 +6,10 @@ takes none either: `moved` then keeps all that there was, and the rest, in a new
 """
 
 import os
+import shutil
 import sqlite3
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from tempfile import gettempdir, mkdtemp
 
@@ -75,13 +76,16 @@ class Store:
         self._durable = durable
         path.parent.mkdir(parents=True, exist_ok=True)
         self.db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-        self.db.execute("PRAGMA journal_mode=WAL")
-        self.db.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
-        if self.db.execute("PRAGMA user_version").fetchone()[0] == 0:
-            self.db.executescript(f"BEGIN; {SCHEMA} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
-        self._file = path.stat()
-        self.last = self._last()
-        """The number and the hash of the last entry that this writer knows."""
+        with ExitStack() as opened:
+            opened.callback(self.db.close)
+            self.db.execute("PRAGMA journal_mode=WAL")
+            self.db.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
+            if self.db.execute("PRAGMA user_version").fetchone()[0] == 0:
+                self.db.executescript(f"BEGIN; {SCHEMA} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
+            self._file = path.stat()
+            self.last = self._last()
+            """The number and the hash of the last entry that this writer knows."""
+            opened.pop_all()
 
     def add(self, rows: Sequence[Row]) -> None:
         """Put entries on disk, all or none. Raises RecordLost, sqlite3.Error, OSError: then it takes none any more."""
@@ -106,10 +110,14 @@ class Store:
         except sqlite3.Error:
             before = []
         for folder in (self.path.parent.parent, Path(gettempdir()), Path("/dev/shm")):
-            with suppress(OSError, sqlite3.Error, RecordLost):
-                new = Store(Path(mkdtemp(prefix="rescued-", dir=folder)) / self.path.name, durable=self._durable)
+            with suppress(OSError, sqlite3.Error, RecordLost), ExitStack() as opened:
+                place = Path(mkdtemp(prefix="rescued-", dir=folder))
+                opened.callback(shutil.rmtree, place, ignore_errors=True)
+                new = Store(place / self.path.name, durable=self._durable)
+                opened.callback(new.close)
                 if before or rows:
                     new.add([*before, *rows])
+                opened.pop_all()
                 return new
         return None
 
