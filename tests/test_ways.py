@@ -205,7 +205,7 @@ def test_a_mortar_that_cannot_be_scooped_from_anywhere_is_told_where_the_recipe_
     recipe = lab.folder / "recipes" / "one.yaml"
     recipe.write_text(re.sub(r"container: \w*agate_mortar", "container: dish", recipe.read_text()))
     (problem,) = found(lab, "no-path")
-    assert problem.message.endswith("before the sheet is level; a depth of 15 mm would do"), "no wider one would"
+    assert problem.message.endswith("steep at its edge; a depth of 15 mm would do"), "no wider one would"
     assert problem.mark.file == str(recipe)
     assert "container: dish" in recipe.read_text().splitlines()[problem.mark.line - 1]
 
