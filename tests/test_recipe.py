@@ -27,6 +27,16 @@ def test_the_shipped_recipes_have_no_problem(starter: object) -> None:
         assert load_recipe(path, starter).samples  # type: ignore[arg-type]
 
 
+def test_a_workflow_that_is_misspelt_hides_nothing_that_is_wrong_with_its_samples(desk: Desk) -> None:
+    """They are held against the workflow that was probably meant."""
+    samples = "  - {id: a, mass: 50}\n  - {id: a, mass: 50 mg, tolerence: 2 mg}\n"
+    whole = desk.problems(HEAD + samples)
+    assert len(whole) == 3
+    other, *same = desk.problems(HEAD.replace("fill_xrd_holder", "fill_xrd_holdr") + samples)
+    assert "unknown workflow 'fill_xrd_holdr'" in other
+    assert same == whole
+
+
 @pytest.mark.parametrize(
     ("line", "said"),
     [

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from scuhand_bt.lab import Lab
-from scuhand_bt.problems import Mark, Problems, shorten
+from scuhand_bt.problems import Mark, Problems, nearest, shorten
 from scuhand_bt.recipe.compose import COMPOSE, Composer, check_by_hand, takes_composed
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.flows import Flows
@@ -219,6 +219,7 @@ class SamplesReader:
         return text
 
     def _workflow(self, node: Node) -> Workflow | None:
+        """The workflow of this name; for an unknown name the nearest, so that all else is checked too."""
         name = (node.text or "") if isinstance(node, Scalar) else ""
         workflows = self.lab.library.workflows
         if name not in workflows:
@@ -227,7 +228,10 @@ class SamplesReader:
             self.problems.add(
                 node.mark, f"unknown workflow {describe(node)}", unknown=name, known=workflows, code="unknown-name"
             )
-            return None
+            meant = nearest(name, tuple(sorted(workflows)))
+            if meant is None:
+                return None
+            name = meant
         self.workflows[name] = workflows[name]
         return workflows[name]
 
