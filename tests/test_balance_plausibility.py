@@ -534,7 +534,7 @@ def test_the_doctor_says_that_the_readability_is_another_and_what_to_write(
         "readability",
         "FAIL",
         "steps of 1 mg",
-        "of 0.1 mg",
+        "0.1 mg",
     )
     assert wrong.what_to_do.startswith("write `readability: 1 mg` for the balance in robot/cell.yaml")
 

@@ -44,7 +44,7 @@ def test_a_mortar_is_refilled_before_the_sample_that_would_leave_little_in_it(de
     assert visits(plan) == [("refill beads for a-5", "refill 'beads' at mortar_bay")]
     assert names(plan)[4:6] == ["refill beads for a-5", "a-5"]
     assert plan.refills == {"beads": 1}
-    with pytest.raises(SourceError, match="a person is needed at 'refill beads for a-5'"):
+    with pytest.raises(SourceError, match="one is needed at 'refill beads for a-5'"):
         check_unattended(plan)
 
 
