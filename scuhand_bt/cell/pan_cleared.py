@@ -60,11 +60,9 @@ def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
     if least_mg <= gained.mass_mg and (gained.mass_mg <= most_mg or not at_most):
         believed.reweighed(gained, now)
         return
-    possible = f"{least_mg:.1f} to {most_mg:.1f} mg are" if at_most else f"{least_mg:.1f} mg or more is"
-    why = (
-        f"'{bracket.container}' has gained {gained.mass_mg:.1f} mg since it was last weighed, but only {possible} "
-        "possible"
-    )
+    possible = f"{least_mg:.1f} to {most_mg:.1f} mg" if at_most else f"{least_mg:.1f} mg or more"
+    gain = f"'{bracket.container}' has gained {gained.mass_mg:.1f} mg since it was last weighed"
+    why = f"{gain}; possible gains are {possible}"
     if at_most:
         raise SkillFailed(Code.CONTAINER_CHANGED, why)
     believed.container_given_up(why)
