@@ -198,6 +198,13 @@ def test_each_of_two_containers_has_to_be_seen_to_go() -> None:
     assert (both.is_good, both.dispensed_mg, both.uncertainty_mg) == (True, 50.2, 0.1)
 
 
+@pytest.mark.parametrize("first_mg", [45.0, 55.0])
+def test_a_sample_with_a_dose_too_large_and_one_too_small_is_over(first_mg: float) -> None:
+    found = result(dose(first_mg), dose(100.0 - first_mg, lot=SALT))
+    assert [one.verdict for one in found.doses] in (["under", "over"], ["over", "under"])
+    assert found.verdict == "over"
+
+
 def test_the_bare_pan_adjusts_the_mass_and_may_change_the_verdict() -> None:
     had = result(dose(51.6))
     assert had.verdict == "over"
