@@ -1,5 +1,6 @@
 """The guards' limits, each from both sides, on readings that are given one by one."""
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -280,6 +281,30 @@ def test_a_slow_balance_is_averaged_over_three_quarters_of_its_lag_and_given_fou
     assert slow.trips(rising(1.5)) == pytest.approx(4.0 * 2.0 + PERIOD_S + 9 * 1.5)
     just = Scene(balance_belief=BalanceBelief(lag_s=2.0))
     assert just.trips(rising(0.99)) is None
+
+
+def ringing(delay_s: float, damping: float, mass_mg: float) -> Iterator[float]:
+    """What a balance that rings shows in a minute of a mass that has come at once."""
+    own = 2.0 * damping / delay_s
+    faded, swings = damping * own, own * math.sqrt(1.0 - damping * damping)
+    for time_s in (PERIOD_S * reading for reading in range(480)):
+        swing = math.cos(swings * time_s) + faded / swings * math.sin(swings * time_s)
+        yield mass_mg * (1.0 - math.exp(-faded * time_s) * swing)
+
+
+@pytest.mark.parametrize("delay_s", [0.6, 1.0, 4.0])
+@pytest.mark.parametrize(("damping", "shape"), [(0.3, "ringing"), (0.4, "ringing"), (0.5, "ringing"), (0.65, "lively")])
+def test_the_swings_of_a_balance_that_rings_are_no_leak(delay_s: float, damping: float, shape: str) -> None:
+    for mass_mg in (30.0, 500.0, 3000.0):
+        scene = Scene(balance_belief=BalanceBelief(lag_s=delay_s / 2.0, shape=shape))
+        assert scene.trips(ringing(delay_s, damping, mass_mg)) is None
+
+
+def test_a_leak_over_a_balance_that_rings_is_found_after_nine_averages_of_a_third_of_its_swing() -> None:
+    scene = Scene(balance_belief=BalanceBelief(lag_s=0.5, shape="ringing"))
+    swing_s = math.pi / math.sqrt(0.75)  # damped by a half, and 1 s late: its own frequency is 1 / s
+    found_s = scene.trips(rising(1.5))
+    assert found_s == pytest.approx(4.0 * 0.5 + 9 * swing_s / 3.0, abs=9 * PERIOD_S)
 
 
 def test_a_balance_of_few_readings_is_averaged_over_three_of_them() -> None:

@@ -107,6 +107,15 @@ def shows_s(balance: BalanceBelief, masses_mg: Array, least_mg: float) -> Array:
     return pure * delay_s + after_s[np.maximum(shown, 0)]
 
 
+def swing_s(balance: BalanceBelief) -> float:
+    """How long its filter rises at a stretch as it rings: half a period [s]; 0 if it does not ring."""
+    pure, damping = SHAPES[balance.shape]
+    if damping >= 1.0:
+        return 0.0
+    delay_s = (1.0 - pure) * 2.0 * balance.lag_s
+    return math.pi * delay_s / (2.0 * damping * math.sqrt(1.0 - damping * damping))
+
+
 def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
     """The balance by a step: its delay needs no model, its shape is the nearest one.
 

@@ -15,6 +15,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import DEVICES
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.interfaces import Device, Reading
+from scuhand_bt.dosing.identification import swing_s
 from scuhand_bt.failures import Code, SkillFailed
 
 BEYOND_TARGET_MG = 100.0
@@ -31,6 +32,9 @@ LEAK_MG_PER_S = 1.0
 """Least steady rise that counts as a leak: twice the drift of a balance in bad need of service."""
 BLOCK_S = 0.5
 """Readings are averaged over this time [s], or 0.75 of the balance's lag or three of its periods if longer."""
+SWING_SHARE = 1.0 / 3.0
+"""The same as a share of the time for which a filter that rings rises. Averages of more than a quarter of it are no
+`RISES` steady ones; one that rings longer than its kind is believed to, damped by 0.3, rises for half as long again."""
 RISES, RISES_AT_ONCE = 4, 8
 """How many averages in a row must rise. A push or a step raises at most two. What an opening let out may raise four
 steadily if the balance was set slower meanwhile, so a rise that goes on ever since has to last twice as long."""
@@ -110,8 +114,9 @@ class Guards:
 
     def _begin_watch(self, now_s: float) -> float:
         """Restart; returns the time from which readings are settled if nothing falls [s]."""
-        balance, lag_s = self._cell.spec.balance, self._cell.balance_belief.lag_s
-        block_s = max(BLOCK_S, 0.75 * lag_s, 3.0 * balance.period_s)
+        balance, belief = self._cell.spec.balance, self._cell.balance_belief
+        lag_s = belief.lag_s
+        block_s = max(BLOCK_S, 0.75 * lag_s, 3.0 * balance.period_s, SWING_SHARE * swing_s(belief))
         self._rise = _Rise(block_s, max(LEAK_MG_PER_S * block_s, balance.readability_mg / 2.0))
         return now_s + SETTLED_LAGS * lag_s
 
