@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 import typer
 from conftest import Call, Ended
+from resuming import Run, Watch
 from running import make_lab
-from test_resume import Run, Watch
 from test_stopping import as_nobody
 
 from scuhand_bt.journal.archive import summary

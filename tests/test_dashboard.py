@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from conftest import Call
 from dashboard_client import Client, serving
+from resuming import Watch
 from running import dry_run, make_lab
 from test_answers import ASK, RECIPE, Run, told
 
@@ -30,7 +31,6 @@ from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.questions import MEANINGS
 from scuhand_bt.run.simulation import DryRun
 from tests.test_journal import HEADER, RESULT
-from tests.test_resume import Watch
 
 TWO = """
 recipe: two

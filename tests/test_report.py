@@ -16,8 +16,8 @@ import pytest
 from browser import browser_page, needs_browser, serious_faults
 from conftest import Call
 from page_text import Tables
+from resuming import Run, Watch
 from running import Ran, dry_run, make_lab
-from test_resume import Run, Watch
 
 from scuhand_bt.events.cell import Returned, Scooped
 from scuhand_bt.events.weighings import DoseBegun

@@ -19,9 +19,9 @@ from typing import Any
 import pytest
 from conftest import REPOSITORY, Call
 from py_trees.behaviour import Behaviour
+from resuming import Run, Watch
 from rich.console import Console
 from running import HEAD, Ran, dry_run, make_lab
-from test_resume import Run, Watch
 
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted, TreeNode
