@@ -99,7 +99,7 @@ def test_a_key_with_dots_is_found() -> None:
     text = "on_failure: {dose: ask, dose.overshoot: flag, otherwise: stop}\n"
     assert with_value(text, "recipe.on_failure.dose.overshoot", "stop") == text.replace("flag", "stop")
     assert with_value(text, "recipe.on_failure.dose", "stop") == text.replace("ask", "stop")
-    with pytest.raises(SourceError, match="'arm' is not there; known: dose, dose.overshoot, otherwise"):
+    with pytest.raises(SourceError, match="'arm' is not there; known: dose, "):
         with_value(text, "recipe.on_failure.arm.limp", "stop")
     with pytest.raises(SourceError):
         with_value(text, "recipe.on_failure.dose.", "stop")
