@@ -18,11 +18,10 @@ from typing import Any, TypeAlias
 
 import yaml
 
-from scuhand_bt.lab import CELL_FILE
+from scuhand_bt.lab import CELL_FILE, lab_files
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.expansion import tables_named
 from scuhand_bt.run.own_modules import digests, lab_modules, plant_files
-from scuhand_bt.run.resume import lab_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
