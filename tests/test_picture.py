@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from journal_bench import HEADER
 from py_trees.behaviour import Behaviour
 from rich.console import Console
 from running import HEAD, Ran, dry_run
@@ -33,7 +34,6 @@ from scuhand_bt.run.options import Options
 from scuhand_bt.run.questions import MEANINGS, Who
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.simulation import DryRun
-from tests.test_journal import HEADER
 
 TWO_SOURCES = """\
 sources:
