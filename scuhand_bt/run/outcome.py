@@ -238,10 +238,14 @@ def confirmed_dose(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
 def _verdict(
     doses: Sequence[DoseResult], asked: Sequence[DoseResult], *, is_asked: bool, has_recorded: bool = False
 ) -> SampleVerdict:
-    """The worst of its doses; "not as asked" if something was dosed, but not what the sample asks for."""
+    """The worst of its doses; "not as asked" if something was dosed, but not what the sample asks for.
+
+    "over" is worse than "under", to which powder can be added.
+    """
     if not doses and has_recorded and is_asked:
         return "recorded"
     if not doses:
         return "no dose"
-    bad = next((dose.verdict for dose in (doses if is_asked else asked) if dose.verdict != "in tolerance"), None)
-    return bad or ("in tolerance" if is_asked else "not as asked")
+    verdicts = {dose.verdict for dose in (doses if is_asked else asked)}
+    bad: tuple[Verdict, ...] = ("over", "under")
+    return next((one for one in bad if one in verdicts), "in tolerance" if is_asked else "not as asked")
