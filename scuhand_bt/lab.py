@@ -1,8 +1,10 @@
 """A lab: the folder with `robot/`, `skills/`, `trees/` and `recipes/` that a user edits; found and loaded."""
 
+import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 CELL_FILE = Path("robot") / "cell.yaml"
 STATE = ".scuhand"
+LAB_FOLDERS = ("robot", "skills", "trees")
 TEST_SUFFIX = ".test.yaml"
 """Of the files beside workflows that say how they are tested."""
 
@@ -37,6 +40,8 @@ class Lab:
     """What is wrong in its files; each breaks only what uses it."""
     has_cell: bool = True
     """False where the cell's own file is wrong: `cell` is then of its sound parts, to check against, not to run on."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """`lab_files` as they were read: somebody may edit them before a run of this lab begins."""
 
     @property
     def urdf(self) -> str:
@@ -142,6 +147,19 @@ def files_of(folder: Path, pattern: str) -> list[Path]:
     return sorted(path for path in found if not (path.name.startswith((".", "#")) or path.name.endswith("~")))
 
 
+def lab_files(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file in a lab's folder that a run depends on, besides its recipe; "" of one not to be read."""
+    files: dict[str, str] = {}
+    for part in LAB_FOLDERS:
+        for path in files_of(folder / part, "**/*"):
+            if path.is_file() and "__pycache__" not in path.parts and not path.name.endswith(TEST_SUFFIX):
+                name = path.relative_to(folder).as_posix()
+                files[name] = ""
+                with suppress(OSError):  # whoever needs it says so
+                    files[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return files
+
+
 def is_lab(folder: Path) -> bool:
     """Whether a folder is a lab."""
     try:
@@ -161,7 +179,7 @@ def load_lab(folder: Path) -> Lab:
 
 def read_lab(folder: Path) -> Lab:
     """As `load_lab`; without a sound cell, one of what of it is sound, to check the rest against."""
-    problems, broken = Problems(), Broken()
+    problems, broken, as_read = Problems(), Broken(), lab_files(folder)
     cell, library, has_cell = _read_bench(folder, problems, broken)
     files = files_of(folder / "skills", "*.py")
     loaded = load_skills(folder, files, cell.device_names, problems, broken, starter_lab())
@@ -169,7 +187,7 @@ def read_lab(folder: Path) -> Lab:
     library.workflows = _load_workflows(folder / "trees", problems, broken)
     _check_names(library, folder, problems)
     library.skills = {**library.skills, RECORD: Record}
-    return Lab(folder, cell, library, tuple(problems.found), has_cell)
+    return Lab(folder, cell, library, tuple(problems.found), has_cell, as_read)
 
 
 def load_bench(folder: Path) -> Lab:

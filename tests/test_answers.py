@@ -17,8 +17,9 @@ from typing import Any
 import pytest
 import typer
 from conftest import Call, Ended
+from journal_bench import HEADER
+from resuming import Run, Watch
 from running import make_lab
-from test_resume import Run, Watch
 from test_stopping import as_nobody
 
 from scuhand_bt.journal.archive import summary
@@ -36,7 +37,6 @@ from scuhand_bt.run.control import HEARD, Control, WishListener, say_answer, say
 from scuhand_bt.run.operator import Person, PersonOperator
 from scuhand_bt.run.questions import MEANINGS, Given, Questions, Who
 from scuhand_bt.run.simulation import DryRun
-from tests.test_journal import HEADER
 
 USER = pwd.getpwuid(os.getuid()).pw_name
 RECIPE = """

@@ -350,6 +350,20 @@ def test_what_has_changed_since_is_refused_or_accepted_by_name(lab_folder: LabFo
     assert api.resume(lab=lab_folder.folder, accept_changes=True).exit_code == 0
 
 
+def test_a_run_is_recorded_with_the_files_that_it_has_read(lab_folder: LabFolder) -> None:
+    """A lab that was edited as a run began was recorded as it was then, and resumed without a word."""
+    recipe = lab_folder.write("recipes/two.yaml", json.dumps({"recipe": "two", **two_samples()}))
+    opened = api.open_lab(lab_folder.folder)
+    cell = lab_folder.folder / "robot/cell.yaml"
+    before = cell.read_text(encoding="utf-8")
+    cell.write_text(before.replace("period: 100 ms", "period: 200 ms"), encoding="utf-8")
+    stopped_after_the_first(opened, recipe, [])
+    with pytest.raises(api.SourceError, match=r"the lab's robot/cell.yaml has changed"):
+        api.resume(lab=lab_folder.folder)
+    cell.write_text(before, encoding="utf-8")
+    assert api.resume(lab=lab_folder.folder).exit_code == 0
+
+
 def test_of_an_altered_journal_nothing_is_a_result(lab_folder: LabFolder) -> None:
     lab = api.open_lab(lab_folder.folder)
     lab.dry_run(RECIPE, journals=lab.state / "runs")

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from conftest import Call
+from journal_bench import HEADER, tamper, write_run, write_version_1
 
 from scuhand_bt.api import PastRun
 from scuhand_bt.events.doses import Dose
@@ -26,7 +27,6 @@ from scuhand_bt.journal.run_events import Continued, Ended, Paused, Resumed, Run
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.weighing_record import COLUMNS, weighing_csv
 from tests.running import Ran, dry_run, make_lab
-from tests.test_journal import HEADER, tamper, write_run, write_version_1
 
 DOSES = """
 recipe: two

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import Call
+from journal_bench import HEADER, tamper
 from running import dry_run, make_lab
 
 from scuhand_bt.journal.copies import make_one_file
@@ -18,7 +19,6 @@ from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.run_events import Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.backup import MANIFEST
-from tests.test_journal import HEADER, tamper
 
 DOSES = """
 recipe: two

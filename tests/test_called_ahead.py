@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 from conftest import Desk
+from resuming import Run, Watch
 from rich.console import Console
 from running import make_lab
 from test_answers import WhenAsked
 from test_plan import plan_of
-from test_resume import Run, Watch
 
 from scuhand_bt.cell.believed_powder import MOST_BARREN_LOADS
 from scuhand_bt.dashboard.page_state import Page

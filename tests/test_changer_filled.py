@@ -101,7 +101,7 @@ def test_check_warns_where_a_sample_done_once_more_shifts_containers_of_other_ki
 
 def test_a_run_says_which_slot_each_container_came_from(tmp_path: Path) -> None:
     recipe = ALIKE.replace(", {id: c, container: pellet_die_13mm}, {id: d}", "") + REDO + "overshoot_limit: 0\n"
-    ran = dry_run(tmp_path, recipe, plant="test_run_batch:Gusher")
+    ran = dry_run(tmp_path, recipe, plant="batch_bench:Gusher")
     with open_contents(ran.journal) as contents:
         assert [(slot, name) for slot, name, _ in slots_taken(contents)] == [
             ("1", "a"),

@@ -168,6 +168,16 @@ def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
     assert f"A person is needed at '{change}': swap the sheet (two screws), wipe rollers and clamp." in shown.stdout
 
 
+def test_a_moment_that_needs_a_person_is_one_line_in_a_pipe(lab_folder: LabFolder, command: Call) -> None:
+    """With long names it was broken in two, within the time after which the person is needed."""
+    table = (REPOSITORY / "recipes/synthesis_batch.csv").read_text(encoding="utf-8")
+    lab_folder.write("recipes/synthesis_batch.csv", table.replace("m-xrd-1;", f"{'m' * 64};"))
+    recipe = (REPOSITORY / "recipes/synthesis_batch.yaml").read_text(encoding="utf-8")
+    shown = command("plan", lab_folder.write("recipes/long.yaml", recipe), "--trials", 0)
+    told = next(line for line in shown.stdout.splitlines() if line.startswith("A person is needed at"))
+    assert told.endswith("wipe rollers and clamp.")
+
+
 def test_plan_as_json_has_every_job(command: Call) -> None:
     found = json.loads(command("plan", "recipes/synthesis_batch.yaml", "--trials", 0, "--json").stdout)
     assert len([job for job in found["jobs"] if job["sample"]]) == 24

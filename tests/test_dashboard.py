@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 from conftest import Call
 from dashboard_client import Client, serving
+from journal_bench import HEADER, RESULT
+from resuming import Watch
 from running import dry_run, make_lab
 from test_answers import ASK, RECIPE, Run, told
 
@@ -29,8 +31,6 @@ from scuhand_bt.report.watching import shown_of
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.questions import MEANINGS
 from scuhand_bt.run.simulation import DryRun
-from tests.test_journal import HEADER, RESULT
-from tests.test_resume import Watch
 
 TWO = """
 recipe: two

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from dashboard_client import serving
+from journal_bench import HEADER
 
 from scuhand_bt.dashboard import serving as serving_module
 from scuhand_bt.dashboard.access import Access, is_loopback, kept_token, new_token, user_of
@@ -16,7 +17,6 @@ from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.run.control import Control, WishListener
-from tests.test_journal import HEADER
 
 STOP = {"wish": "stop"}
 THERE = "/api/runs/one/wish"

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from dashboard_client import serving
 from hypothesis import HealthCheck, given, settings
+from journal_bench import HEADER
 
 from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.writer import Journal
-from tests.test_journal import HEADER
 
 
 @pytest.mark.slow

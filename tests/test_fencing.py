@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 from conftest import Call, LabFolder
+from resuming import Run, Watch, actions
 from running import make_lab
-from test_resume import Run, Watch, actions
 
 from scuhand_bt.api import interrupted
 from scuhand_bt.events.entry import Note

@@ -101,13 +101,16 @@ def test_cancel_says_what_becomes_of_the_job(database: str, order: Submission, o
 
     run(submitted())
     assert command("cancel", 2, *where)[:2] == (0, "job 2 is cancelled.\n")
-    assert command("cancel", 1, *where)[:2] == (0, "job 1 stops at 'here' after its current sample.\n")
+    stops = (0, "job 1 stops at 'here' after its current sample.\n")
+    assert command("cancel", 1, *where)[:2] == stops
 
-    async def interrupted() -> None:
+    async def interrupted(number: int) -> None:
         async with open_queue(database) as queue:
-            await queue.tell("here", f"{HELD_BACK} 1: it was killed")
+            await queue.tell("here", f"{HELD_BACK} {number}: it was killed")
 
-    run(interrupted())
+    run(interrupted(10))
+    assert command("cancel", 1, *where)[:2] == stops, "the station has just taken this one, after one that was given up"
+    run(interrupted(1))
     assert command("cancel", 1, *where).stdout.startswith("job 1 is given up at 'here', whose run was interrupted: ")
     assert "last heard of" not in command("queue", *where).stdout
     run(silent(3))

@@ -187,6 +187,13 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
             (journal,) = journals(lab)
             (state,) = [one.state for one in await queue.stations()]
             assert f"`scuhand-bt resume {journal.stem}` goes on with it" in state
+            cell = lab / "robot/cell.yaml"
+            before = cell.read_text(encoding="utf-8")
+            cell.write_text(f"{before}# later\n", encoding="utf-8")
+            station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
+            (first, _) = await works(station, queue, lambda jobs: "cell.yaml has changed" in jobs[0].said)
+            assert "was killed" in first.said
+            cell.write_text(before, encoding="utf-8")
             station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
             first, second = await works(station, queue, lambda jobs: jobs[0].status != "doing" and jobs[1].run != "")
             assert (first.status, first.run, first.said) == ("succeeded", journal.stem, "done (8 in tolerance)")

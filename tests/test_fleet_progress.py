@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from fleet_bench import all_over, but, enrolled, run, works
+from journal_bench import HEADER, RESULT
 from running import make_lab
 
 from scuhand_bt.events.entry import Event
@@ -18,7 +19,6 @@ from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.run_events import Continued, Ended, Paused, RunBegun
 from scuhand_bt.journal.writer import Journal
-from tests.test_journal import HEADER, RESULT
 
 pytestmark = pytest.mark.xdist_group("postgres")
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 from conftest import Bench, FakeCell, wait_until
+from journal_bench import problem_of
+from resuming import Run, Watch
 from running import Watching, make_lab
-from test_journal import problem_of
 from test_rehearse import HEAD, session_of
-from test_resume import Run, Watch
 
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.liveness import LIMIT_S, Liveness

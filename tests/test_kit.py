@@ -158,7 +158,7 @@ def test_what_is_wrong_in_a_test_file_is_told_in_its_place(
 
 
 def test_a_test_file_is_no_workflow_and_no_part_of_what_a_run_depends_on(lab_folder: LabFolder) -> None:
-    from scuhand_bt.run.resume import lab_files
+    from scuhand_bt.lab import lab_files
 
     lab_folder.write("trees/mine.test.yaml", HEAD)
     lab = lab_folder.load()

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 from conftest import Call
+from journal_bench import tamper
 from running import Ran, dry_run
 
 from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.lab_state import ledger as of_ledger
 from scuhand_bt.lab_state.ledger import KEY_VARIABLE, Ledger
 from scuhand_bt.problems import SourceError
-from tests.test_journal import tamper
 
 DOSE = """
 recipe: one

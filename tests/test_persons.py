@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import typer
 from conftest import Call
+from journal_bench import HEADER
 from running import dry_run, make_lab
 
 from scuhand_bt.cli import persons as commands
@@ -20,7 +21,6 @@ from scuhand_bt.run import operator as of_operator
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.operator import Person, PersonOperator
 from scuhand_bt.run.questions import Questions
-from tests.test_journal import HEADER
 
 DOSE = """
 recipe: one

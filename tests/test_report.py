@@ -15,9 +15,10 @@ from typing import Any
 import pytest
 from browser import browser_page, needs_browser, serious_faults
 from conftest import Call
+from journal_bench import HEADER, tamper, write_version_1
 from page_text import Tables
+from resuming import Run, Watch
 from running import Ran, dry_run, make_lab
-from test_resume import Run, Watch
 
 from scuhand_bt.events.cell import Returned, Scooped
 from scuhand_bt.events.weighings import DoseBegun
@@ -34,7 +35,6 @@ from scuhand_bt.report.run_figures import times_figure
 from scuhand_bt.report.run_report import NONE, comparison, page_of_run
 from scuhand_bt.report.time_spent import ACTIVITIES, JobTime, TimeSpent, time_spent
 from scuhand_bt.run.operator import ANSWER_S, AT_HAND
-from tests.test_journal import HEADER, tamper, write_version_1
 
 EVIL = "<script>alert(1)</script>"
 BATCH = f"""

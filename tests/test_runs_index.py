@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from conftest import Call
+from journal_bench import write_run
 from running import make_lab
 
 from scuhand_bt.journal import archive, runs_index
@@ -16,7 +17,6 @@ from scuhand_bt.journal.run_events import Ended, Resumed
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab_state.ledger import Ledger
 from scuhand_bt.run.resume import find_run
-from tests.test_journal import write_run
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from conftest import Call
+from resuming import Run, Watch
 from running import make_lab
-from test_resume import Run, Watch
 
 from scuhand_bt.events.entry import Note
 from scuhand_bt.journal.archive import summaries

@@ -94,6 +94,17 @@ def test_a_value_is_changed_where_it_stands_and_all_else_stays_as_written() -> N
         with_value(text, "powders.glass_beads.belief.spred", "20 %")
 
 
+def test_a_key_with_dots_is_found() -> None:
+    """A policy by its failure code was refused: "'dose' is not there; known: dose.overshoot, …"."""
+    text = "on_failure: {dose: ask, dose.overshoot: flag, otherwise: stop}\n"
+    assert with_value(text, "recipe.on_failure.dose.overshoot", "stop") == text.replace("flag", "stop")
+    assert with_value(text, "recipe.on_failure.dose", "stop") == text.replace("ask", "stop")
+    with pytest.raises(SourceError, match="'arm' is not there; known: dose, "):
+        with_value(text, "recipe.on_failure.arm.limp", "stop")
+    with pytest.raises(SourceError):
+        with_value(text, "recipe.on_failure.dose.", "stop")
+
+
 @pytest.mark.parametrize(
     ("place", "said"),
     [

@@ -34,7 +34,7 @@ tree:
     - fill: {source: $source, container: $container, mass: $amount, tolerance: $tolerance}
     - park:
 """
-GUSHER = "test_run_batch:Gusher"
+GUSHER = "batch_bench:Gusher"
 
 
 def tried(lab_folder: LabFolder, recipe: str, plant: str | None = None) -> dict[str, SampleTrial]:

@@ -141,7 +141,7 @@ def test_unattended_no_sample_is_done_once_more_in_what_another_one_needs(
     lab_folder.replace("robot/cell.yaml", "slots: 24", f"slots: {slots}")
     lab = lab_folder.load()
     plan = make_plan(load_recipe(lab_folder.write("recipes/redo.yaml", REDO), lab), lab)
-    options = Options(DryRun(plant="test_run_batch:Gusher"), "paper", tmp_path / "runs", unattended=unattended)
+    options = Options(DryRun(plant="batch_bench:Gusher"), "paper", tmp_path / "runs", unattended=unattended)
     session = Session(plan, lab, options, shared_planner(plan, lab))
     try:
         result = session.run(Watching())
@@ -168,7 +168,7 @@ def test_what_was_begun_once_more_is_gone_on_with(lab_folder: LabFolder, tmp_pat
     lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: 3")
     lab, runs = lab_folder.load(), tmp_path / "runs"
     plan = make_plan(load_recipe(lab_folder.write("recipes/redo.yaml", REDO), lab), lab)
-    options = Options(DryRun(plant="test_run_batch:Gusher"), "paper", runs, unattended=True)
+    options = Options(DryRun(plant="batch_bench:Gusher"), "paper", runs, unattended=True)
 
     def run(watching: Watching, found: Resumable | None = None) -> BatchResult:
         watching.session = Session(plan, lab, options, shared_planner(plan, lab), resumes=found)

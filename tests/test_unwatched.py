@@ -16,8 +16,8 @@ from typing import Any, cast
 import pytest
 from conftest import REPOSITORY, Call, LabFolder
 from daily import first_daily
+from journal_bench import write_run
 from running import make_lab
-from test_journal import write_run
 from test_journal_store import wait_for
 
 from scuhand_bt.api import Control, Hung

@@ -155,7 +155,7 @@ def cancel(
         raise typer.Exit(ExitCode.BAD_INPUT)
     if by is None:
         said = "is cancelled."
-    elif by.is_there and by.state.startswith(HELD_BACK):
+    elif by.is_there and by.state.startswith(f"{HELD_BACK} {job}:"):  # not for one before it
         said = f"is given up at '{by.name}', whose run was interrupted: the next one begins there; look at the cell."
     elif by.is_there:
         said = f"stops at '{by.name}' after its current sample."

@@ -110,7 +110,7 @@ def plan(
     for person, when in odds.persons_s(made) if odds is not None else ((one, None) for one in made.persons):
         first, last = (format_duration(when.low), format_duration(when.high)) if when is not None else ("", "")
         at = f" (after {first} to {last})" if first != last else f" (after {first})" if first else ""
-        out.print(Text(f"A person is {person}{at}."))
+        out.print(Text(f"A person is {person}{at}."), soft_wrap=True)
     if odds is not None:
         for line in _of_persons(made, loaded, odds, hours, tried):
             out.print(Text(line), soft_wrap=True)

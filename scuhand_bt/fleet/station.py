@@ -48,6 +48,8 @@ LEFT_STEP_S = 10.0
 """What is left of a run is said in steps of this: not at every look."""
 LAST_WORDS = 600
 """Characters of what a refused run has said."""
+RESUMED = "resume.txt"
+"""What the last resumed run has said."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +249,7 @@ class Station:
         if taken.job.abort_requested:
             return await self._over(taken, Status.ABORTED, "", "cancelled before it began")
         if self._child is not None:
-            said = log.read_text(encoding="utf-8", errors="replace").strip()[-LAST_WORDS:]
+            said = _last_words(log)
             if self._child.returncode == ExitCode.BAD_INPUT:
                 return await self._refused(taken, order, said)
             what = f"it did not begin, and its program ended with {self._child.returncode}: {said or 'without a word'}"
@@ -296,9 +298,12 @@ class Station:
         if ended is None and resumes and run not in self._resumed:
             self._resumed.add(run)
             self._say(f"job {taken.id}: {run} was killed, and is resumed")
-            await self._start(self._orders / "resume.txt", "resume", run)
+            await self._start(self._orders / RESUMED, "resume", run)
             return False
-        return await self._hold_back(taken, run, f"{_came_to(history)}; `scuhand-bt resume {run}` goes on with it")
+        what = f"{_came_to(history)}; `scuhand-bt resume {run}` goes on with it"
+        if ended is None and run in self._resumed and (said := _last_words(self._orders / RESUMED)):
+            what = f"{what}. When this station resumed it: {said}"
+        return await self._hold_back(taken, run, what)
 
     async def _hold_back(self, taken: Taken, run: str, what: str) -> bool:
         """A person looks first: no other job begins here."""
@@ -364,6 +369,10 @@ def key_of(journal: Path) -> str | None:
     with open_journal(journal) as (database, _):
         row = database.execute(query).fetchone()
         return Path(row[0]).parent.name if row is not None else None
+
+
+def _last_words(log: Path) -> str:
+    return log.read_text(encoding="utf-8", errors="replace").strip()[-LAST_WORDS:]
 
 
 def _came_to(history: History) -> str:

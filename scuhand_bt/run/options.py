@@ -17,7 +17,6 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.own_modules import digests, lab_modules
-from scuhand_bt.run.resume import lab_files
 from scuhand_bt.run.simulation import DryRun, Rehearsal, Simulation
 from scuhand_bt.sim.fault_rules import parse_faults
 
@@ -83,7 +82,7 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
         recipe_text=plan.recipe.text,
         recipe_path=str(plan.recipe.path.absolute()),
         lab=str(lab.folder.absolute()),
-        lab_files=lab_files(lab.folder),
+        lab_files=lab.files,
         modules=digests(lab_modules(lab.folder)),
         cell=lab.cell.cell,
         simulated=cell.simulated,

@@ -1,6 +1,5 @@
 """Finds an interrupted run, and decides whether it may be resumed: nothing altered, and no unnoticed changes."""
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,14 +12,12 @@ from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_verified
 from scuhand_bt.journal.run_events import RunBegun
 from scuhand_bt.journal.store import SCHEMA_VERSION
-from scuhand_bt.lab import TEST_SUFFIX, Lab, files_of, is_lab
+from scuhand_bt.lab import Lab, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import listed
 from scuhand_bt.recipe.plan import Job, Plan, recoveries, sheet_changes
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.own_modules import digests, lab_modules
-
-LAB_FOLDERS = ("robot", "skills", "trees")
 
 
 @dataclass(frozen=True)
@@ -126,17 +123,6 @@ def resumable(
     return Resumable(path, history, changes, presence)
 
 
-def lab_files(lab: Path) -> dict[str, str]:
-    """SHA-256 of every file in a lab's folder that a run depends on, besides its recipe."""
-    files: dict[str, str] = {}
-    for folder in LAB_FOLDERS:
-        for path in files_of(lab / folder, "**/*"):
-            if path.is_file() and "__pycache__" not in path.parts and not path.name.endswith(TEST_SUFFIX):
-                name = path.relative_to(lab).as_posix()
-                files[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return files
-
-
 def _overtaken(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
     """What had begun, and is no longer the next thing to do in this plan."""
     begun, names = {name for name, _ in history.jobs}, [job.name for job in plan.jobs]
@@ -184,7 +170,7 @@ def _in_words(slots: object) -> str:
 def _changes(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
     if history.run.recipe_hash != plan.recipe.hash:
         yield f"the recipe {plan.recipe.path} or one of its tables has changed"
-    yield from (f"the lab's {what}" for what in _differing(history.run.lab_files, lab_files(lab.folder)))
+    yield from (f"the lab's {what}" for what in _differing(history.run.lab_files, lab.files))
     if history.run.modules is not None:
         now = digests(lab_modules(lab.folder))
         yield from (f"your own module {what}" for what in _differing(history.run.modules, now))

@@ -18,11 +18,10 @@ from typing import Any, TypeAlias
 
 import yaml
 
-from scuhand_bt.lab import CELL_FILE
+from scuhand_bt.lab import CELL_FILE, lab_files
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.expansion import tables_named
 from scuhand_bt.run.own_modules import digests, lab_modules, plant_files
-from scuhand_bt.run.resume import lab_files
 
 Value: TypeAlias = float | str
 Changes: TypeAlias = tuple[tuple[str, Value], ...]
@@ -104,8 +103,10 @@ def with_value(text: str, place: str, value: Value) -> str:
     Raises SourceError for a place that does not exist, or that cannot be changed by itself.
     """
     node: Any = yaml.compose(text, yaml.BaseLoader)
-    for key in place.split(".")[1:]:
-        node = _below(node, key, place)
+    keys = place[place.index(".") :]
+    while keys:
+        key, node = _below(node, keys[1:], place)
+        keys = keys[1 + len(key) :]
         if text.startswith("&", node.start_mark.index):  # an alias is composed to its anchor's node, too
             raise _refused(
                 place, f"'{key}' has an anchor (&), and would change wherever its alias (*) is; write it out"
@@ -121,15 +122,17 @@ def with_value(text: str, place: str, value: Value) -> str:
     return text[: node.start_mark.index] + new + text[node.end_mark.index :]
 
 
-def _below(node: Any, key: str, place: str) -> Any:
+def _below(node: Any, keys: str, place: str) -> tuple[str, Any]:
+    """The first of `keys`, and what it names: the longest that is there, as failure codes have dots."""
     if isinstance(node, yaml.MappingNode):
         found = {name.value: child for name, child in node.value}
     else:
         children = node.value if isinstance(node, yaml.SequenceNode) else ()
         found = {str(number): child for number, child in enumerate(children)}
-    if key not in found:
-        raise _no_such(place, list(found), key)
-    return found[key]
+    fit = [key for key in found if f"{keys}.".startswith(f"{key}.")]
+    if not fit:
+        raise _no_such(place, list(found), keys.partition(".")[0])
+    return (key := max(fit, key=len)), found[key]
 
 
 def _no_such(place: str, known: list[str], key: str = "") -> SourceError:
