@@ -39,7 +39,7 @@ SURE = 1.5
 """The flow is surely at least what is believed less this many standard deviations."""
 LEAST_MG, TELLING = 2.0, 20.0
 """Openings are added up until they brought, or should have brought, LEAST_MG or TELLING times the noise."""
-AIM_UNDER_MG = 0.1
+AIM_UNDER_MG = 0.05
 """The aim is this far below the target: too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
 """Above the target, the least limit where the balance is too uncertain for any verdict."""
