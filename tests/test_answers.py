@@ -342,6 +342,19 @@ def test_an_answer_from_elsewhere_leaves_the_terminal_to_the_next_question(monke
     assert (second.answer, second.by) == ("stop", "Ada")
 
 
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_question_that_nobody_can_answer_by_typing_says_how_to_answer_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], is_terminal: bool
+) -> None:
+    terminal, asking = Terminal(), Asking()
+    monkeypatch.setattr(terminal, "isatty", lambda: is_terminal)
+    monkeypatch.setattr(sys, "stdin", terminal)
+    asking.ask(lambda: asking.questions.give(1, "done", Who("Eve")))
+    told = capsys.readouterr().out
+    assert told.startswith("Is it? [done/stop]")
+    assert ("`scuhand-bt answer last ANSWER`" in told) is not is_terminal
+
+
 @pytest.mark.parametrize("gone", ["", OSError("hung up")])
 def test_a_question_whose_terminal_has_gone_waits_for_an_answer_from_elsewhere(
     monkeypatch: pytest.MonkeyPatch, gone: str | OSError

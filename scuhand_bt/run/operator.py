@@ -195,8 +195,9 @@ class Terminal:
         return sys.stdin.isatty()
 
     def show(self, question: Question) -> None:
-        """Show a question that waits."""
-        self.say(f"{question.text} [{'/'.join(question.choices)}]")
+        """Show a question that waits, and how to answer it where nobody can type."""
+        elsewhere = "" if self.is_there else " (answer from elsewhere: `scuhand-bt answer last ANSWER`)"
+        self.say(f"{question.text} [{'/'.join(question.choices)}]{elsewhere}")
 
     def say(self, text: str) -> None:
         """Print something about an answer."""
