@@ -1,6 +1,5 @@
 """What trials say of a plan: the odds of its samples, and how long it takes and what it uses, with intervals."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -9,7 +8,6 @@ import pytest
 from study_bench import RECIPE, fake
 
 from scuhand_bt.cli.study import tell_odds
-from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
@@ -96,17 +94,6 @@ def test_four_dry_runs_in_a_row_say_how_long_nine_of_ten_take_and_no_wider(setup
     least_s, most_s = np.quantile(times_s, (0.05, 0.95)).tolist()
     assert np.mean(inside) == pytest.approx(0.9, abs=0.03)
     assert np.median(wide) < 1.6 * most_s / least_s
-
-
-@pytest.mark.parametrize("few", [4, 8, 20])
-def test_the_balances_of_the_first_few_dry_runs_are_neither_slower_nor_more_diverse_than_others(few: int) -> None:
-    """A plan's middle is the mean of few, and a run's time goes with its balance."""
-    spec, logs = BalanceSpec(), list[float]()
-    for SomeCell.seed in range(200):
-        logs.append(math.log(shown_after_s(SomeCell().balance(spec))))
-    spread = float(np.std(logs))
-    assert np.mean(logs[:few]) == pytest.approx(np.mean(logs), abs=0.2 * spread)
-    assert np.std(logs[:few], ddof=1) == pytest.approx(spread, rel=0.2)
 
 
 def test_one_more_run_uses_what_a_few_dry_runs_say_nine_times_of_ten(setup: Setup) -> None:

@@ -31,14 +31,9 @@ KINDS = ("as written", "equal", "other growth")
 equal masses; and exponential ones that grow if the file says that they do not, or the other way round."""
 GROWS = 3.0
 """The exponent of lumps that grow: a lump is as wide as the gap."""
-PRIMES = (5, 3, 2, 7, 11, 13)
+PRIMES = (5, 2, 3, 7, 11, 13)
 """Their square roots are the irrational numbers of the sequence: for lumps (that of 5 is even within a kind as well),
 lag, flow, dead diameter, noise and yield."""
-STARTS = (0.21, 0.19, 0.26, 0.85, 0.86, 0.92)
-"""Where each of these begins. Sought, to two digits, so that the first 3 to 32 cells, above all the first 4, 8 and 20,
-have the means, spreads and (missing) correlations of the distributions, and lumps the mean within each kind too. When
-all began in the middle (0.5), the first eight had balances and lumps 0.3 standard deviations above their medians, and
-one of the eight a balance as slow as one in seventy."""
 SURE = 1e-6
 """Cut-off of the distributions: no cell is farther out than this share on either side."""
 SLOWER = 1.5
@@ -50,8 +45,8 @@ DEAD_MM = 0.03
 class SomeCell:
     """A plant (`--plant`) with random figures; `seed` says which.
 
-    Cells of successive seeds are spread evenly (Richtmyer's sequence: multiples of irrational numbers, modulo 1). So
-    even the few trials of a plan have every kind of lumps, small and large, and are slow as often as quick; with
+    Cells of successive seeds are spread evenly, the first one in the middle (Richtmyer's sequence: multiples of
+    irrational numbers, modulo 1). So even the few trials of a plan have every kind of lumps, small and large; with
     independent draws all might be of one kind.
     """
 
@@ -59,7 +54,7 @@ class SomeCell:
 
     def __init__(self) -> None:
         self._kind = KINDS[self.seed % len(KINDS)]
-        shares = (STARTS + self.seed * np.sqrt(PRIMES)) % 1.0
+        shares = (0.5 + self.seed * np.sqrt(PRIMES)) % 1.0
         drawn = ndtri(np.clip(shares, SURE, 1.0 - SURE))
         self._lumps, self._lag, self._flow, self._dead, self._noise, self._yield = drawn
 
