@@ -10,7 +10,7 @@ from conftest import REPOSITORY, Call, Desk, LabFolder
 
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
-from scuhand_bt.study.night import better_order, fates, in_words, read_night
+from scuhand_bt.study.night import fates, in_words, likely_better, read_night
 from scuhand_bt.study.odds import Odds, odds_of
 from scuhand_bt.study.stays import stays_in_words, unforeseen_in_words
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
@@ -171,7 +171,7 @@ def test_an_order_is_not_named_that_does_no_more_than_is_said_to_be_done(desk: D
     assert [job.name for job in plan.jobs][:2] == ["y", "z"], "which take longer, by the forecast of skills"
     odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
     hours = read_night("20:00-20:22")
-    better = better_order(plan, desk.lab, odds, hours)
+    better = likely_better(plan, desk.lab, odds, hours)
     assert better is not None
     assert better.recipe.order == "by_powder"
     said = list(in_words(plan, desk.lab, odds, hours, lambda made: tried(made, 600.0)))
@@ -374,5 +374,6 @@ def test_plan_says_what_its_night_holds(lab_folder: LabFolder, command: Call) ->
     refused = command("plan", path, "--trials", "2", "--night", "20:00-08:00")
     told = json.loads(command("plan", path, "--trials", "3", "--night", "20:00-08:00", "--json").stdout)["night"]
     assert (told["lasts_s"], [one["why"] is None for one in told["samples"]]) == (43200.0, [True, False, False, False])
+    assert told["better_order"] == {"order": "persons_together", "samples": 3}
     assert (said.returncode, refused.returncode) == (0, 2)
     assert "at least 3" in refused.stderr, "two do not tell how much runs differ"

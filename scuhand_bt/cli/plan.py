@@ -78,7 +78,9 @@ def plan(
         return
     if as_json:
         odds = tried(made) if trials else None
-        night_values = _night_values(made, odds, hours) if odds is not None and hours is not None else None
+        night_values = None
+        if odds is not None and hours is not None:
+            night_values = _night_values(made, loaded, odds, hours, tried)
         values = {**_plan_values(made), "odds": odds and asdict(odds), "night": night_values}
         print_json({**values, "problems": list(map(values_of, doubts)), "notes": notes})
         return
@@ -159,10 +161,14 @@ def _night(text: str, trials: int) -> "Night":
     return read_night(text)
 
 
-def _night_values(made: "Plan", odds: "Odds", hours: "Night") -> dict[str, Any]:
-    from scuhand_bt.study import fates
+def _night_values(
+    made: "Plan", loaded: "Lab", odds: "Odds", hours: "Night", tried: "Callable[[Plan], Odds]"
+) -> dict[str, Any]:
+    from scuhand_bt.study import better_order, fates
 
-    return {"lasts_s": hours.lasts_s, "samples": [asdict(fate) for fate in fates(made, odds, hours)]}
+    better = better_order(made, loaded, odds, hours, tried)
+    samples = [asdict(fate) for fate in fates(made, odds, hours)]
+    return {"lasts_s": hours.lasts_s, "samples": samples, "better_order": better and asdict(better)}
 
 
 def _setup(made: "Plan", loaded: "Lab") -> "Setup":

@@ -6,7 +6,7 @@ from scuhand_bt.fronts import front
 
 if TYPE_CHECKING:
     from scuhand_bt.study.change import files_hash, modules_hash
-    from scuhand_bt.study.night import Night, fates, in_words, read_night
+    from scuhand_bt.study.night import Night, better_order, fates, in_words, read_night
     from scuhand_bt.study.odds import CELLS, FEWEST, RECKONED, Chance, Odds, Range, odds_of
     from scuhand_bt.study.optimise import diff, optimised
     from scuhand_bt.study.pool import all_trials, executor_of
@@ -20,7 +20,7 @@ else:
         __name__,
         {
             "study.change": "files_hash modules_hash",
-            "study.night": "Night fates in_words read_night",
+            "study.night": "Night better_order fates in_words read_night",
             "study.odds": "CELLS FEWEST RECKONED Chance Odds Range odds_of",
             "study.optimise": "diff optimised",
             "study.pool": "all_trials executor_of",
@@ -47,6 +47,7 @@ __all__ = [
     "Trial",
     "Vary",
     "all_trials",
+    "better_order",
     "check_setups",
     "diff",
     "ends_of",

@@ -50,6 +50,15 @@ class Fate:
     """Why it is not done within the night; None if it is."""
 
 
+@dataclass(frozen=True)
+class BetterOrder:
+    """An order with which more samples are done in the night."""
+
+    order: str
+    samples: int
+    """So many, by dry runs of this order."""
+
+
 def read_night(text: str) -> Night:
     """Parse `20:00-08:00`. Raises SourceError for anything else, and if both times are equal."""
     found = re.fullmatch(r"\s*(\d{1,2}:\d\d)\s*[-–]\s*(\d{1,2}:\d\d)\s*", text)
@@ -98,11 +107,8 @@ def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
             yield Fate(job.name, done_s, "it may take longer" if done_s > night.lasts_s else None)
 
 
-def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Plan | None:
-    """The plan in the order with which most samples are done, by each plan's own forecast; None if that is this one.
-
-    Only dry runs of it can confirm that (`fates`).
-    """
+def likely_better(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Plan | None:
+    """The plan in the order with which most samples are done, by each plan's own forecast; None if that is this one."""
     slower = odds.duration_s.high / plan.duration_s if plan.duration_s > 0.0 else 1.0
 
     def done(made: Plan) -> int:
@@ -115,6 +121,16 @@ def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Plan | None:
 
     best = max((make_plan(replace(plan.recipe, order=order), lab) for order in ORDERS), key=done)
     return best if done(best) > done(plan) else None
+
+
+def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Plan], Odds]) -> BetterOrder | None:
+    """The likely better order, if dry runs of it (`tried`) confirm that more samples are done."""
+    done = [fate.why is None for fate in fates(plan, odds, night)]
+    likely = None if all(done) else likely_better(plan, lab, odds, night)
+    if likely is None:
+        return None
+    more = sum(fate.why is None for fate in fates(likely, tried(likely), night))
+    return BetterOrder(likely.recipe.order, more) if more > sum(done) else None
 
 
 def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Plan], Odds]) -> Iterator[str]:
@@ -133,8 +149,5 @@ def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night, tried: Callable[[Pl
             reasons.setdefault(fate.why, []).append(fate.sample)
     for why, samples in reasons.items():
         yield f"Not {listed(samples, 'sample')}: {why}."
-    better = better_order(plan, lab, odds, night) if len(fit) < len(found) else None
-    if better is not None:
-        more = sum(fate.why is None for fate in fates(better, tried(better), night))
-        if more > len(fit):
-            yield f"With `order: {better.recipe.order}` it would be {more}, by the same number of dry runs."
+    if (better := better_order(plan, lab, odds, night, tried)) is not None:
+        yield f"With `order: {better.order}` it would be {better.samples}, by the same number of dry runs."
