@@ -166,7 +166,8 @@ class Dispense(Skill[Dose]):
         cell.record.event(DoseBegun(**dict(empty.written()), lot=lot, target_mg=self.mass_mg))
         yield from cell.record.kept()  # before powder falls
         try:
-            run = yield from run_dose(controller, request, cell.hand, cell.balance, cell.clock, cell.record, reference)
+            devices = cell.hand, cell.balance, cell.clock, cell.record
+            run = yield from run_dose(controller, request, *devices, reference, came=cell.came)
         finally:
             gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before.gross_mg
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)

@@ -1,5 +1,6 @@
 """The skill `dispense` and the balance's zero: steps, drift and creep are no powder."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,8 @@ from dose_bench import DISH
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.dosing import CONTROLLERS, Command, Finish, Observation, Stream, Weigh
 from scuhand_bt.dosing.bracket import Gross
-from scuhand_bt.events.doses import Dose
+from scuhand_bt.dosing.characteristic import Step
+from scuhand_bt.events.doses import Dose, Pulsed
 from scuhand_bt.events.weighings import DoseWeighed
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
@@ -120,6 +122,27 @@ def test_after_a_dose_what_is_lost_is_the_zeros_and_what_comes_may_be_powder(
     rig.balance.zero_mg = lambda time_s: by_mg if rig.seen and time_s > rig.seen[-1].time_s else 0.0
     rig.dispense(TARGET_MG)
     assert rig.cell.believed.zero_stepped_mg == pytest.approx(remembered_mg)
+
+
+@pytest.mark.parametrize("fallen_mg", [0.0, 3.0])
+def test_the_last_swings_of_a_filter_after_a_dose_are_no_step_of_the_zero_and_a_step_after_them_is(
+    rig: Rig, fallen_mg: float
+) -> None:
+    """It steps once the dose was weighed for the second time, at rest; what the swing showed before is not believed."""
+    times_s = [0.1 * number for number in range(1, 1000)]
+    rig.cell.came = Step(25_000.0, tuple(times_s), tuple(-math.exp(-time_s / 3.0) for time_s in times_s))
+    before_mg, opened_s = rig.balance.load_mg, rig.clock.now_s
+
+    def zero_mg(time_s: float) -> float:
+        if rig.balance.load_mg == before_mg:
+            return 0.0
+        is_at_rest = len(rig.kept(Pulsed)) > 1
+        return TARGET_MG * math.exp((opened_s - time_s) / 3.0) - fallen_mg * is_at_rest
+
+    rig.balance.zero_mg = zero_mg
+    dose = rig.dispense(TARGET_MG)
+    assert rig.cell.believed.zero_stepped_mg == pytest.approx(fallen_mg, abs=0.1)
+    assert dose.dispensed_mg == pytest.approx(TARGET_MG - fallen_mg, abs=0.1)
 
 
 def test_a_pan_that_creeps_is_not_dosed_on(rig: Rig) -> None:

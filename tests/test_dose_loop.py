@@ -13,6 +13,7 @@ from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing import Command, DoseRequest, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
+from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.controller import silence_s
 from scuhand_bt.events.doses import Pulsed
 from scuhand_bt.events.entry import Note, SkillEvent
@@ -113,6 +114,7 @@ class Loop:
 
     cone_mg = 5000.0
     believed = BalanceBelief(lag_s=0.3)
+    came: Step | None = None
 
     def __init__(self, commands: Iterable[Command], net_mg: Iterable[float]) -> None:
         self.clock = VirtualClock()
@@ -124,7 +126,8 @@ class Loop:
     def run(self, against: Reference | None = None) -> DoseRun:
         hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
         asked = DoseRequest(100.0, 2.0, 0.3, 2.4, 4.0, 0.1, self.cone_mg, balance=self.believed)
-        steps = run_dose(self.controller, asked, hand, balance, self.clock, self.record, against or reference())
+        devices = hand, balance, self.clock, self.record
+        steps = run_dose(self.controller, asked, *devices, against or reference(), came=self.came)
         try:
             while True:
                 self.clock.wait([next(steps)])
@@ -220,6 +223,36 @@ def test_what_a_filter_that_rings_swings_back_by_is_no_drift() -> None:
     ((before, now),) = loop.run().watched
     assert abs(now.gross_mg - before.gross_mg) < 0.05
     assert before.time_s - BEGAN_S < 80.0
+
+
+def swinging(lasts_s: float) -> Step:
+    """How a filter shows a container that swings about it every second, and to 1/e within this time."""
+    times_s = [0.1 * number for number in range(1, 1000)]
+    missing = (math.cos(math.tau * time_s) * math.exp(-time_s / lasts_s) for time_s in times_s)
+    return Step(EMPTY_MG, tuple(times_s), tuple(missing), MEAN_UNCERTAINTY_MG)
+
+
+@pytest.mark.parametrize("commands", [[Stream(1.0), Stream(0.0), Weigh(31.0)], [Pulse(1.0, 0.5, 0.0)]])
+def test_what_a_filter_swings_by_for_as_long_as_it_did_about_the_container_is_not_weighed(
+    commands: list[Command],
+) -> None:
+    """Neither for a drift nor in the end; the shape that it is believed to have rings no longer than a second."""
+    loop = Loop(commands, [0.0, 100.0, 100.0] if len(commands) > 1 else [100.0, 100.0])
+    loop.pan.latest = Reading(EMPTY_MG, True, BEGAN_S)
+    loop.believed, loop.came = BalanceBelief(lag_s=0.05, shape="ringing"), swinging(8.0)
+    run = loop.run()
+    shown_s = 8.0 * math.log(100.0 / 0.05)
+    assert run.last.time_s - BEGAN_S == pytest.approx(shown_s + 8.0 * len(run.watched), abs=1.5)
+    assert [before.time_s - BEGAN_S for before, _ in run.watched] == pytest.approx(
+        [shown_s] * len(run.watched), abs=1.5
+    )
+
+
+def test_a_weighing_after_all_has_been_shown_is_not_made_again() -> None:
+    loop = Loop([Stream(1.0), Stream(0.0), Weigh(9.0)], [0.0, 100.0, 100.0])
+    loop.came = swinging(1.0)
+    assert loop.run().last.time_s - BEGAN_S == pytest.approx(0.2 + 9.0)
+    assert len(loop.record.pulses) == 1
 
 
 def test_of_a_filter_that_has_long_shown_all_nothing_more_is_waited_for_than_its_delay() -> None:

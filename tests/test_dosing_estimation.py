@@ -451,3 +451,18 @@ def test_how_long_a_balance_takes_to_show_a_mass_is_when_its_step_response_leave
     late_s = pure * delay_s + times_s[np.flatnonzero(mass_mg * np.abs(1.0 - shown) > least_mg)[-1]]
     (shows,) = shows_s(BalanceBelief(lag_s=delay_s / 2.0, shape=shape), np.array([mass_mg]), least_mg)
     assert late_s - 0.01 <= shows <= late_s + 0.11 * delay_s
+
+
+@pytest.mark.parametrize(("damping", "mass_mg"), [(0.15, 3.0), (0.15, 2000.0), (0.3, 50.0)])
+def test_a_container_tells_how_long_a_filter_rings_that_rings_more_than_any_shape(
+    damping: float, mass_mg: float
+) -> None:
+    w, least_mg = 3.0, 0.05
+    times_s = np.arange(0.1, 60.0, 0.1)
+    _, shown = step(lti([w * w], [1.0, 2.0 * damping * w, w * w]), T=np.append(0.0, times_s))
+    came = Step(25_000.0, tuple(times_s), tuple(1.0 - shown[1:]), 0.05)
+    late_s = times_s[np.flatnonzero(mass_mg * np.abs(1.0 - shown[1:]) > least_mg)[-1]]
+    believed = balance_of(came)
+    (without,), (shows,) = (shows_s(believed, np.array([mass_mg]), least_mg, one) for one in (None, came))
+    assert without < 0.7 * late_s
+    assert late_s <= shows <= late_s + 0.11

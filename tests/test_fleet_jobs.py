@@ -154,6 +154,33 @@ def test_a_run_whose_journal_is_gone_is_not_begun_again_and_holds_its_station_un
     assert journals(lab) == []
 
 
+def test_a_run_whose_journal_is_taken_away_while_it_goes_on_holds_its_station(database: str, tmp_path: Path) -> None:
+    """The station ended with an error, and the queue said that the run goes on."""
+    lab, told = make_lab(tmp_path / "lab"), list[str]()
+    order = submission_of(plan_of(lab, count=300), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("here",))])
+            station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
+
+            def is_held_back(jobs: list[QueuedJob]) -> bool:
+                assert jobs[0].run or not told, "it may be begun again"
+                if jobs[0].run:
+                    told.append(jobs[0].run)
+                    for journal in journals(lab):
+                        journal.unlink()
+                return "was taken away" in jobs[0].said
+
+            (job,) = await works(station, queue, is_held_back)
+            assert (job.status, set(told)) == ("doing", {job.run})
+            (known,) = await queue.stations()
+            assert known.state.startswith("has ended; it has to wait for job 1: ")
+
+    run(check())
+    assert journals(lab) == [], "no second run"
+
+
 def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then_marked(
     database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -140,6 +140,27 @@ def test_an_idle_station_says_anew_what_its_cell_has(
     run(check())
 
 
+def test_a_station_that_cannot_read_a_journal_begins_no_job_and_says_why_in_the_queue(
+    database: str, tmp_path: Path
+) -> None:
+    """`fleet` told nothing of it: what the station said last stood there."""
+    lab = make_lab(tmp_path / "lab")
+    (lab / ".scuhand" / "runs").mkdir(parents=True)
+    (lab / ".scuhand" / "runs" / "old.sqlite").write_bytes(b"no journal" * 999)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
+            await queue.submit([job_for(lab, "here")])
+            with pytest.raises(SourceError, match=r"old.sqlite: .*; no job begins here meanwhile"):
+                await station.work()
+            (known,) = await queue.stations()
+            assert known.state.startswith("has ended: ")
+            assert "old.sqlite" in known.state
+
+    run(check())
+
+
 def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
     code, _, err = command("station")
     assert code == 2

@@ -1,6 +1,7 @@
 """A run does not depend on who watches it, and its exit code is the engine's to say."""
 
 import errno
+import io
 import os
 import pty
 import re
@@ -14,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+import typer
 from conftest import REPOSITORY, Call, LabFolder
 from daily import first_daily
 from journal_bench import write_run
@@ -379,3 +381,17 @@ def test_a_reader_who_has_gone_is_written_to_no_more() -> None:
         wait_for(lambda: stream.is_gone)
         assert stream.write("y") == 1
     assert reader.got == []
+
+
+def test_a_question_between_the_lines_of_a_run_is_shown_and_so_is_what_comes_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """typer took the stream for one of bytes; nothing more was shown of a run on the cell that was resumed."""
+    shown = tmp_path / "shown.txt"
+    with shown.open("w", encoding="utf-8") as terminal:
+        monkeypatch.setattr(sys, "stdout", terminal)
+        monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
+        with streams.unwatched():
+            assert typer.confirm("May the run go on?")
+            print("it goes on")
+    assert shown.read_text(encoding="utf-8") == "May the run go on? [y/N]: it goes on\n"

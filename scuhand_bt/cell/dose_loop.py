@@ -10,13 +10,14 @@ import statistics
 from collections import deque
 from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from scuhand_bt.clock import Clock, Steps, pause
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, settled_from
-from scuhand_bt.dosing.characteristic import Curve
+from scuhand_bt.dosing.characteristic import Curve, Step
 from scuhand_bt.dosing.controller import (
     LONGEST_UNWEIGHED_S,
     Controller,
@@ -28,7 +29,7 @@ from scuhand_bt.dosing.controller import (
     Weigh,
     silence_s,
 )
-from scuhand_bt.dosing.identification import SETTLED, shows_s
+from scuhand_bt.dosing.identification import SETTLED, rings, shows_s
 from scuhand_bt.events.doses import CurveRow, Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
@@ -73,7 +74,7 @@ class DoseRun:
 
     finish: Finish
     last: Gross
-    """Its last weighing, which the finish rests on if the controller verified it."""
+    """Its last weighing. The finish rests on it if the controller verified it, unless the balance still swung then."""
     watched: list[tuple[Gross, Gross]]
     """Pairs of weighings of the same, valve shut, made whenever nobody had looked for long: they show drifts."""
     pulses: int
@@ -150,11 +151,13 @@ def run_dose(
     reference: Reference,
     *,
     unwatched_s: float = LONGEST_UNWEIGHED_S,
+    came: Step | None = None,
 ) -> Steps[DoseRun]:
     """Run a controller to its `Finish`; net masses are against `reference`, weighed with the hand in place.
 
-    The pan is watched for drift after `unwatched_s` without a watch; never if that is infinite. Raises SkillFailed
-    device.lost, balance.unstable, balance.overload (from the balance), container.moved.
+    The pan is watched for drift after `unwatched_s` without a watch; never if that is infinite. `came` is how the
+    balance has shown the container. Raises SkillFailed device.lost, balance.unstable, balance.overload (from the
+    balance), container.moved.
     """
     begin_s = clock.now_s
     period_s = balance.spec.period_s
@@ -234,7 +237,7 @@ def run_dose(
                 if is_watched:  # a stable mean may still creep, or swing back, which would look like a drift
                     note(0.0, 0.0)
                     since = [(point.time_s, point.net_mg) for point in curve if point.time_s > unwatched_since_s]
-                    rests_s = _rests_s(request.balance, since, clock.now_s, balance.spec.readability_mg)
+                    rests_s = _rests_s(request.balance, came, since, clock.now_s, balance.spec.readability_mg)
                     yield from pause(clock, rests_s - clock.now_s)
                 mean = yield from balance.stable_mean(balance.spec.settles_s)
                 seen = weighed(mean)
@@ -262,23 +265,42 @@ def run_dose(
                 command = Finish(why, seen.net_mg, seen.uncertainty_mg)
             shown_mm = max(seen.opening_mm, held_mm)
             keep(CurvePoint(seen.time_s, seen.net_mg, shown_mm, level, seen.stable, controller.estimate_mg))
+        if rings(request.balance, came):  # others only creep on: what is lost after their last weighing is the zero's
+            came_of = [now for before, now in pairwise(curve) if max(before.opening_mm, now.opening_mm) > 0.0]
+            readings = [(point.time_s, point.net_mg) for point in came_of]
+            net_mg, digit_mg = last.gross_mg - reference.zero_mg, balance.spec.readability_mg
+            rests_s = _shown_s(request.balance, came, readings, net_mg, digit_mg)
+            if last.time_s < rests_s:  # it was weighed as it swung
+                hand.stop()
+                weighed_s = last.time_s
+                yield from pause(clock, rests_s - clock.now_s)
+                mean = yield from balance.stable_mean(balance.spec.settles_s)
+                record.event(_pulsed(Weigh(), weighed(mean), weighed_s, mean))
     finally:
         hand.stop()
     return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
 
 
-def _rests_s(balance: BalanceBelief, shown: Curve, now_s: float, readability_mg: float) -> float:
+def _rests_s(balance: BalanceBelief, came: Step | None, shown: Curve, now_s: float, readability_mg: float) -> float:
     """The time at which a balance, valve shut, has shown all of the powder [s].
 
-    A change since an earlier reading is shown at the latest as if all of it had come then; what is in the dead time is
-    still to be seen. A filter that adapts takes `SETTLED` delays of its slow speed.
+    What is in the dead time is still to be seen. A filter that adapts takes `SETTLED` delays of its slow speed.
     """
     delay_s = 2.0 * balance.lag_s
     if balance.adapts:
         return now_s + SETTLED * delay_s * math.exp(balance.doubt)
+    now_mg = shown[-1][1] if shown else 0.0
+    return max(now_s + delay_s, _shown_s(balance, came, shown, now_mg, readability_mg))
+
+
+def _shown_s(balance: BalanceBelief, came: Step | None, shown: Curve, now_mg: float, readability_mg: float) -> float:
+    """The time by which a balance has shown what has come since these readings [s].
+
+    A change since a reading is shown at the latest as if all of it had come then.
+    """
     times_s, readings_mg = np.reshape(shown, (-1, 2)).T
-    late_s = shows_s(balance, np.abs(readings_mg - readings_mg[-1:]), SHOWN_DIGITS * readability_mg)
-    return float(np.max(times_s + late_s, initial=now_s + delay_s))
+    late_s = shows_s(balance, np.abs(readings_mg - now_mg), SHOWN_DIGITS * readability_mg, came)
+    return float(np.max(times_s + late_s, initial=-math.inf))
 
 
 def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:

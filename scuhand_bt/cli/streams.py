@@ -107,6 +107,8 @@ class Beside(io.TextIOBase):
         return self._stream is not None and self._stream.isatty()
 
     def write(self, text: str) -> int:
+        if not isinstance(text, str):  # typer tries so whether a stream takes bytes
+            raise TypeError(f"text is written here, not {type(text).__name__}")
         if not self.is_gone:
             with suppress(queue.Full):
                 self._parts.put_nowait(text)

@@ -54,6 +54,11 @@ BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 """Times after the command to open at which powder may begin to come."""
 LEAST_APART_S = 1e-3
 """Least difference of two times: lines that were held up come all at once."""
+RINGS_SHARE = 0.01
+"""A filter rings if it has shown more of a container than came, by this share."""
+TOLD_SIGMAS = 5.0
+"""A container tells how much of it is missing at a time to so many standard uncertainties of its weighing. A single
+reading is off by about two."""
 TAIL = np.arange(0.1, 30.0, 0.1)
 """Times, in delays, at which a tail is evaluated; no shape takes longer to show 100 g to half of 0.1 mg."""
 INDEPENDENT = 10.0
@@ -97,14 +102,30 @@ def transitions(
     return still, adds
 
 
-def shows_s(balance: BalanceBelief, masses_mg: Array, least_mg: float) -> Array:
-    """(N,) times [s] after which all but `least_mg` of masses (N,) [mg] that came at once is shown for good."""
+def shows_s(balance: BalanceBelief, masses_mg: Array, least_mg: float, came: Step | None = None) -> Array:
+    """(N,) times [s] after which all but `least_mg` of masses (N,) [mg] that came at once is shown for good.
+
+    No sooner than that share of a container that `came` was: a filter may ring for longer than any shape.
+    """
     delay_s, (pure, damping) = 2.0 * balance.lag_s, SHAPES[balance.shape]
-    after_s = delay_s * TAIL[::-1]
-    still, _ = transitions(delay_s, pure, damping, after_s)
-    most = np.maximum.accumulate(np.abs(still[:, READING, READING]))  # the largest at any later time, as shapes ring
-    shown = np.searchsorted(most, least_mg / np.maximum(masses_mg, least_mg)) - 1
-    return pure * delay_s + after_s[np.maximum(shown, 0)]
+    shares = least_mg / np.maximum(masses_mg, least_mg)
+    still, _ = transitions(delay_s, pure, damping, delay_s * TAIL)
+    shown_s = pure * delay_s + _shown_s(delay_s * TAIL, still[:, READING, READING], shares)
+    if came is None or not came.times_s:
+        return shown_s
+    told = np.maximum(shares, TOLD_SIGMAS * came.uncertainty_mg / abs(came.step_mg))
+    return np.maximum(shown_s, _shown_s(np.array(came.times_s), np.array(came.missing), told))
+
+
+def _shown_s(times_s: Array, missing: Array, shares: Array) -> Array:
+    """(N,) the first of the times from which on less than these shares (N,) are missing; the last one if none is."""
+    most = np.maximum.accumulate(np.abs(missing[::-1]))  # the largest at any later time, as filters ring
+    return times_s[::-1][np.maximum(np.searchsorted(most, shares) - 1, 0)]
+
+
+def rings(balance: BalanceBelief, came: Step | None) -> bool:
+    """Whether its filter swings back, by its shape or by how it has shown a container."""
+    return SHAPES[balance.shape][1] < 1.0 or (came is not None and min(came.missing, default=0.0) < -RINGS_SHARE)
 
 
 def swing_s(balance: BalanceBelief) -> float:

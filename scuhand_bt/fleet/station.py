@@ -115,6 +115,10 @@ class Station:
                 except ConnectorException as error:
                     self._tell_of_no_database(error)
                     goes_on = False
+                except SourceError as error:  # a wrong lab or journal ends it: who looks at the queue is told
+                    with suppress(ConnectorException):
+                        await self._queue.tell(self.name, f"{ENDED}: {error}")
+                    raise
                 if self._is_leaving.is_set() and not had_child:  # whose end this look has seen to
                     with suppress(ConnectorException):
                         await self._queue.tell(self.name, f"{ENDED}; it {self._waits}" if self._waits else ENDED)
@@ -194,7 +198,7 @@ class Station:
         for journal in (*self._state.glob("runs/*.sqlite"), *self._state.glob("rescued-*/*.sqlite")):
             if journal not in self._keys and (found := key_of(journal)) is not None:
                 self._keys[journal] = found
-        return next((journal for journal, of in self._keys.items() if of == key), None)
+        return next((journal for journal, of in self._keys.items() if of == key and journal.exists()), None)
 
     async def _take_next(self) -> bool:
         if not self._manner.simulated and is_held(self._state / CELL):
@@ -217,7 +221,7 @@ class Station:
         return await self._queue.take_over(self.name)
 
     async def _goes_on(self, taken: Taken, journal: Path | None) -> None:
-        run = journal.stem if journal is not None else ""
+        run = journal.stem if journal is not None else taken.run  # of one that was taken away: it has begun
         if taken.job.abort_requested and journal is not None:
             with suppress(TimeoutError):
                 say_wish(journal, "stop")
@@ -366,9 +370,13 @@ def key_of(journal: Path) -> str | None:
     with suppress(OSError, sqlite3.Error), closing(read_only(journal)) as file:
         if file.execute("PRAGMA user_version").fetchone()[0] == 0:
             return None
-    with open_journal(journal) as (database, _):
-        row = database.execute(query).fetchone()
-        return Path(row[0]).parent.name if row is not None else None
+    try:
+        with open_journal(journal) as (database, _):
+            row = database.execute(query).fetchone()
+            return Path(row[0]).parent.name if row is not None else None
+    except SourceError as error:
+        what = "no job begins here meanwhile, as this may be a job's: bring it back, or move it away if it is no job's"
+        raise SourceError([Problem(problem.mark, f"{problem.message}; {what}") for problem in error.problems]) from None
 
 
 def _last_words(log: Path) -> str:
