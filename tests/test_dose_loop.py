@@ -291,6 +291,26 @@ def test_what_a_ringing_filter_would_not_show_is_a_loss_however_much_has_come() 
         streaming(0.0, 500.0, 1100.0, 540.0, 540.0, 540.0).run()
 
 
+@pytest.mark.parametrize(
+    ("missing", "lowest_mg", "is_lost"),
+    [
+        ((0.0, -0.62, 0.0, 0.4, 0.0), 430.0, False),
+        ((0.0, -0.62, 0.0, 0.4, 0.0), 370.0, True),
+        ((0.0, -0.02, 0.0, 0.4, 0.0), -40.0, True),  # touched: no filter swings so far
+    ],
+)
+def test_a_filter_that_has_swung_back_farther_about_the_container_may_do_so_in_the_dose(
+    missing: tuple[float, ...], lowest_mg: float, is_lost: bool
+) -> None:
+    loop = streaming(0.0, 500.0, 1100.0, lowest_mg, lowest_mg, lowest_mg, 700.0)
+    loop.came = Step(EMPTY_MG, (1.0, 2.0, 3.0, 4.0, 5.0), missing)
+    if is_lost:
+        with pytest.raises(SkillFailed, match=r"container\.moved"):
+            loop.run()
+    else:
+        loop.run()
+
+
 def test_at_rest_nothing_rings_however_much_has_just_come() -> None:
     loop = Loop([Stream(1.0)] * 3 + [Weigh(), Weigh()], [0.0, 500.0, 1000.0, 1000.0, 940.0])
     with pytest.raises(SkillFailed, match=r"container\.moved"):

@@ -16,6 +16,7 @@ from scuhand_bt.clock import Signal
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
+from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.specs import BalanceBelief
@@ -54,6 +55,7 @@ class Scene:
         )
     )
     balance_belief: BalanceBelief = field(default_factory=lambda: BalanceBelief(lag_s=LAG_S))
+    came: Step | None = None
     apex: tuple[float, float, float] = (PAN.position_mm[0], PAN.position_mm[1], 140.0)
     now_s: float = 10.0
 
@@ -298,6 +300,19 @@ def test_the_swings_of_a_balance_that_rings_are_no_leak(delay_s: float, damping:
     for mass_mg in (30.0, 500.0, 3000.0):
         scene = Scene(balance_belief=BalanceBelief(lag_s=delay_s / 2.0, shape=shape))
         assert scene.trips(ringing(delay_s, damping, mass_mg)) is None
+
+
+@pytest.mark.parametrize(("hertz", "damping"), [(0.15, 0.2), (0.2, 0.15), (0.5, 0.15)])
+def test_swings_for_as_long_as_a_filter_swung_about_the_container_are_no_leak(hertz: float, damping: float) -> None:
+    """No shape rings as long for its delay."""
+    delay_s = 2.0 * damping / (math.tau * hertz)
+    missing = tuple(1.0 - share for share in ringing(delay_s, damping, 1.0))
+    came = Step(EMPTY_MG, tuple(PERIOD_S * reading for reading in range(480)), missing)
+    belief = BalanceBelief(lag_s=delay_s / 2.0, shape="ringing")
+    for mass_mg in (30.0, 500.0, 3000.0):
+        assert Scene(balance_belief=belief, came=came).trips(ringing(delay_s, damping, mass_mg)) is None
+    found_s = Scene(balance_belief=belief, came=came).trips(rising(1.5))
+    assert found_s == pytest.approx(2.0 * delay_s + 9 * max(0.5, 0.5 / hertz / 3.0), rel=0.2)
 
 
 def test_a_leak_over_a_balance_that_rings_is_found_after_nine_averages_of_a_third_of_its_swing() -> None:

@@ -18,6 +18,7 @@ from scuhand_bt.clock import Steps, T, Wake
 from scuhand_bt.device_specs.balance import BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.events.weighings import BracketClosed, ContainerLifted
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import ContainerReweighed
@@ -185,6 +186,31 @@ def test_a_filled_container_is_weighed_and_taken_away_and_the_bare_pan_says_what
         "against the bare pan before and after it, the container has gained 50.20 mg. That differs from the dose by "
         f"+0.20 mg; {closed.allowance_mg:.2f} mg are allowed"
     )
+
+
+@pytest.mark.parametrize("dose", ["broken off", "dripped"])
+def test_a_container_is_not_weighed_before_it_goes_while_a_filter_swings_as_it_did_when_it_came(dose: str) -> None:
+    """Of a dose that broke off, or of a drop as the hand left; each swing's peak is called stable."""
+    times_s = [0.1 * number for number in range(1, 1000)]
+
+    def shown_mg(now_s: float) -> float:
+        if "taken away" in shown.done:
+            return 10.0
+        return 20_060.0 + (3.0 - 5.0 * math.exp((48.0 - now_s) / 5.0)) * (now_s > 48.0)
+
+    shown = Shown(by_time=shown_mg)
+    a_dosed_container(shown)
+    shown.cell.came = Step(20_000.0, tuple(times_s), tuple(-math.exp(-time_s / 5.0) for time_s in times_s), U_MG)
+    shown.cell.readings.extend(Reading(shown_mg(time_s), False, time_s) for time_s in (41.0, 47.0, 49.0))
+    if dose == "broken off":
+        shown.cell.sources = {}
+        shown.believed.dosing_towards(80.0, BEADS, Gross(20_060.0, U_MG, 45.0))
+    shown.drive(take_container_away(shown.cell))
+    assert shown.believed.zero_stepped_mg == 0.0
+    (told,) = shown.believed.closed
+    assert told.closes is (dose == "broken off"), "a drop is in N alone"
+    lifted = next(event for event in shown.events if isinstance(event, ContainerLifted))
+    assert lifted.gross_mg == pytest.approx(20_063.0, abs=0.1)
 
 
 @pytest.mark.parametrize("moved_mg", [1.6, 8.0])

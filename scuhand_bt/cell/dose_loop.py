@@ -12,8 +12,6 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-import numpy as np
-
 from scuhand_bt.clock import Clock, Steps, pause
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, settled_from
@@ -29,7 +27,7 @@ from scuhand_bt.dosing.controller import (
     Weigh,
     silence_s,
 )
-from scuhand_bt.dosing.identification import SETTLED, rings, shows_s
+from scuhand_bt.dosing.identification import SETTLED, rings, shown_by_s, swing_of
 from scuhand_bt.events.doses import CurveRow, Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
@@ -40,7 +38,8 @@ LOST_MG = 50.0
 lands is less."""
 LOST_READINGS = 3
 RINGS, RINGING_S = 0.5, 10.0
-"""A ringing filter shows too much, then less: by up to this share of what came in this time (damping 0.2)."""
+"""A ringing filter shows too much, then less: by up to this share of what came in this time (damping 0.2), or by as
+much as it did about the container."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +91,6 @@ GAIN_MG, AVERAGED = 1.0, 10
 """A gain is this much more, by a stable mean or the mean of so many readings: 5 standard deviations while shaken."""
 WATCHES = 3
 """Most looks at a change that is hardly chance: to know it better, or until a filter has crept after the powder."""
-SHOWN_DIGITS = 0.5
-"""What a balance may still have to show, in digits, when it is watched for drift."""
 LONGEST_S = 1800.0
 """Longest dose, whatever its controller does; the paper's slowest took 15 min."""
 
@@ -119,6 +116,8 @@ class _Flow:
 class _Kept:
     """What the pan has shown, and must go on showing."""
 
+    rings: float
+    """How far it may swing back, as a share of what came lately."""
     most_mg: float = -math.inf
     _least_mg: float = -math.inf
     _below: int = 0
@@ -138,7 +137,7 @@ class _Kept:
             lowest.popleft()
         came_mg = 0.0 if seen.stable else seen.net_mg - lowest[0].net_mg
         self.most_mg = max(self.most_mg, seen.net_mg)
-        self._least_mg = max(self._least_mg, seen.net_mg - max(LOST_MG, RINGS * came_mg))
+        self._least_mg = max(self._least_mg, seen.net_mg - max(LOST_MG, self.rings * came_mg))
 
 
 def run_dose(
@@ -166,7 +165,7 @@ def run_dose(
     streaming = False
     last = reference.before
     watched: list[tuple[Gross, Gross]] = []
-    kept = _Kept()
+    kept = _Kept(max(RINGS, swing_of(came).share))
     flow, barren_s = _Flow(reference.earlier.mass_mg), max(BARREN_S, BARREN_READINGS * period_s)
 
     def keep(point: CurvePoint) -> None:
@@ -269,7 +268,7 @@ def run_dose(
             came_of = [now for before, now in pairwise(curve) if max(before.opening_mm, now.opening_mm) > 0.0]
             readings = [(point.time_s, point.net_mg) for point in came_of]
             net_mg, digit_mg = last.gross_mg - reference.zero_mg, balance.spec.readability_mg
-            rests_s = _shown_s(request.balance, came, readings, net_mg, digit_mg)
+            rests_s = shown_by_s(request.balance, came, readings, net_mg, digit_mg)
             if last.time_s < rests_s:  # it was weighed as it swung
                 hand.stop()
                 weighed_s = last.time_s
@@ -290,17 +289,7 @@ def _rests_s(balance: BalanceBelief, came: Step | None, shown: Curve, now_s: flo
     if balance.adapts:
         return now_s + SETTLED * delay_s * math.exp(balance.doubt)
     now_mg = shown[-1][1] if shown else 0.0
-    return max(now_s + delay_s, _shown_s(balance, came, shown, now_mg, readability_mg))
-
-
-def _shown_s(balance: BalanceBelief, came: Step | None, shown: Curve, now_mg: float, readability_mg: float) -> float:
-    """The time by which a balance has shown what has come since these readings [s].
-
-    A change since a reading is shown at the latest as if all of it had come then.
-    """
-    times_s, readings_mg = np.reshape(shown, (-1, 2)).T
-    late_s = shows_s(balance, np.abs(readings_mg - now_mg), SHOWN_DIGITS * readability_mg, came)
-    return float(np.max(times_s + late_s, initial=-math.inf))
+    return max(now_s + delay_s, shown_by_s(balance, came, shown, now_mg, readability_mg))
 
 
 def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:

@@ -12,6 +12,7 @@ from scuhand_bt.cell.weighing import (
     watched,
     weigh_changed,
     weigh_left,
+    weigh_shown,
     weighing_of,
 )
 from scuhand_bt.clock import Steps
@@ -52,7 +53,7 @@ def weigh_broken_off(cell: Cell, *, at_most: bool = False) -> Steps[None]:
     believed, bracket = cell.believed, cell.believed.bracket
     if bracket is None or not believed.dosing.is_unweighed:
         return
-    mean = yield from cell.right_of_way.stable_mean()
+    mean = yield from weigh_shown(cell, bracket.last)
     now = weighing_of(mean)
     gained, _ = dose_between(((bracket.last, bracket.last), (now, now)), cell.spec.balance.readability_mg)
     cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))

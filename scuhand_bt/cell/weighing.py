@@ -24,7 +24,7 @@ from scuhand_bt.dosing.bracket import (
     together,
 )
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
-from scuhand_bt.dosing.identification import balance_of, is_linear, is_unlike
+from scuhand_bt.dosing.identification import balance_of, is_linear, is_unlike, rings, shown_by_s
 from scuhand_bt.events.weighings import (
     BalanceAdapts,
     BalanceChanged,
@@ -232,16 +232,29 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     return mean
 
 
+def weigh_shown(cell: Cell, before: Gross) -> Steps[StableMean]:
+    """The gross, with all that has come or gone since a weighing: a balance that rings may call its swings stable."""
+    mean, digit_mg = (yield from cell.right_of_way.stable_mean()), cell.spec.balance.readability_mg
+    if not rings(cell.balance_belief, cell.came) or moved_mg(before, weighing_of(mean), digit_mg) == 0.0:
+        return mean
+    since = [(one.time_s, one.value_mg) for one in cell.readings.copy() if one.time_s > before.time_s]
+    rests_s = shown_by_s(cell.balance_belief, cell.came, since, mean.value_mg, digit_mg)
+    if mean.time_s < rests_s:
+        yield from pause(cell.clock, rests_s - cell.clock.now_s)
+        mean = yield from cell.right_of_way.stable_mean()
+    return mean
+
+
 def weigh_left(cell: Cell, before: Gross) -> Steps[StableMean]:
     """The gross after the hand has left (l1), with all that fell until then; notes what was gained or lost.
 
     A slow balance first shows the earlier load, and calls it stable: it is weighed again after its delay.
     """
-    mean, delay_s = (yield from cell.right_of_way.stable_mean()), _late_s(cell)
+    mean, delay_s = (yield from weigh_shown(cell, before)), _late_s(cell)
     for _ in range(LOOKS if delay_s > PROMPT_S else 0):
         last = weighing_of(mean)
         yield from pause(cell.clock, delay_s)
-        mean = yield from cell.right_of_way.stable_mean()
+        mean = yield from weigh_shown(cell, last)
         now = weighing_of(mean)
         if abs(now.gross_mg - last.gross_mg) <= 2.0 * apart_mg(last, now, cell.spec.balance.readability_mg):
             break

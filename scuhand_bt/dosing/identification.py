@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scuhand_bt.dosing.characteristic import Step
+from scuhand_bt.dosing.characteristic import Curve, Step
 from scuhand_bt.specs import BalanceBelief
 
 Array = NDArray[np.float64]
@@ -59,6 +59,8 @@ RINGS_SHARE = 0.01
 TOLD_SIGMAS = 5.0
 """A container tells how much of it is missing at a time to so many standard uncertainties of its weighing. A single
 reading is off by about two."""
+SHOWN_DIGITS = 0.5
+"""What a balance may still have to show, in digits, when it counts as having shown all that came."""
 TAIL = np.arange(0.1, 30.0, 0.1)
 """Times, in delays, at which a tail is evaluated; no shape takes longer to show 100 g to half of 0.1 mg."""
 INDEPENDENT = 10.0
@@ -117,6 +119,16 @@ def shows_s(balance: BalanceBelief, masses_mg: Array, least_mg: float, came: Ste
     return np.maximum(shown_s, _shown_s(np.array(came.times_s), np.array(came.missing), told))
 
 
+def shown_by_s(balance: BalanceBelief, came: Step | None, shown: Curve, now_mg: float, readability_mg: float) -> float:
+    """The time by which a balance has shown what has come since these readings [s].
+
+    A change since a reading is shown at the latest as if all of it had come then.
+    """
+    times_s, readings_mg = np.reshape(shown, (-1, 2)).T
+    late_s = shows_s(balance, np.abs(readings_mg - now_mg), SHOWN_DIGITS * readability_mg, came)
+    return float(np.max(times_s + late_s, initial=-math.inf))
+
+
 def _shown_s(times_s: Array, missing: Array, shares: Array) -> Array:
     """(N,) the first of the times from which on less than these shares (N,) are missing; the last one if none is."""
     most = np.maximum.accumulate(np.abs(missing[::-1]))  # the largest at any later time, as filters ring
@@ -125,16 +137,38 @@ def _shown_s(times_s: Array, missing: Array, shares: Array) -> Array:
 
 def rings(balance: BalanceBelief, came: Step | None) -> bool:
     """Whether its filter swings back, by its shape or by how it has shown a container."""
-    return SHAPES[balance.shape][1] < 1.0 or (came is not None and min(came.missing, default=0.0) < -RINGS_SHARE)
+    return SHAPES[balance.shape][1] < 1.0 or swing_of(came).lasts_s > 0.0
 
 
-def swing_s(balance: BalanceBelief) -> float:
-    """How long its filter rises at a stretch as it rings: half a period [s]; 0 if it does not ring."""
-    pure, damping = SHAPES[balance.shape]
+class Swing(NamedTuple):
+    """How a filter that rings swings back."""
+
+    lasts_s: float
+    """How long it rises at a stretch: half a period; 0 if it does not ring."""
+    share: float
+    """Of how far it rose, by how much it falls then."""
+
+
+def swing_of(came: Step | None) -> Swing:
+    """How a filter has shown a container: until its peak, and from there on.
+
+    Each swing is the same share of the one before. The first is less than that of a step where the container came
+    slowly. A person who touches it may make it look like more than a filter can swing.
+    """
+    missing = np.array(came.missing if came is not None else ())
+    if came is None or min(missing, default=0.0) >= -RINGS_SHARE:
+        return Swing(0.0, 0.0)
+    peak = int(missing.argmin())
+    return Swing(came.times_s[peak], float(np.clip(missing[peak:].max() / -missing[peak], 0.0, 1.0)))
+
+
+def swing_s(balance: BalanceBelief, came: Step | None = None) -> float:
+    """How long its filter rises at a stretch as it rings [s], by its shape or by a container; 0 if it does not ring."""
+    lasts_s, (pure, damping) = swing_of(came).lasts_s, SHAPES[balance.shape]
     if damping >= 1.0:
-        return 0.0
+        return lasts_s
     delay_s = (1.0 - pure) * 2.0 * balance.lag_s
-    return math.pi * delay_s / (2.0 * damping * math.sqrt(1.0 - damping * damping))
+    return max(lasts_s, math.pi * delay_s / (2.0 * damping * math.sqrt(1.0 - damping * damping)))
 
 
 def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:

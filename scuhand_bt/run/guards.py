@@ -116,7 +116,7 @@ class Guards:
         """Restart; returns the time from which readings are settled if nothing falls [s]."""
         balance, belief = self._cell.spec.balance, self._cell.balance_belief
         lag_s = belief.lag_s
-        block_s = max(BLOCK_S, 0.75 * lag_s, 3.0 * balance.period_s, SWING_SHARE * swing_s(belief))
+        block_s = max(BLOCK_S, 0.75 * lag_s, 3.0 * balance.period_s, SWING_SHARE * swing_s(belief, self._cell.came))
         self._rise = _Rise(block_s, max(LEAK_MG_PER_S * block_s, balance.readability_mg / 2.0))
         return now_s + SETTLED_LAGS * lag_s
 
