@@ -314,7 +314,7 @@ CATALOGUE: Mapping[str, Failure] = {
     ),
     Code.OPERATOR_ABSENT: Failure(
         "A person was needed, but nobody was there.",
-        "Run with a person at the cell, or use the container changer.",
+        "Go there, and resume the run from a terminal: it then asks you. Or use the container changer.",
         ("run",),
     ),
     Code.WORKFLOW_TIMEOUT: Failure(

@@ -27,6 +27,17 @@ RECIPE: dict[str, Any] = {
     "samples": [{"id": "a", "source": "beads", "container": "xrd_holder", "mass": "50 mg"}],
 }
 
+QUIET = """\
+from scuhand_bt.skill import Cell, Skill, Steps
+
+
+class Quiet(Skill[None]):
+    \"\"\"Ask without having said so.\"\"\"
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from cell.operator.ask("Press the button")
+"""
+
 
 @pytest.fixture(scope="module")
 def lab() -> api.OpenLab:
@@ -362,6 +373,28 @@ def test_a_run_is_recorded_with_the_files_that_it_has_read(lab_folder: LabFolder
         api.resume(lab=lab_folder.folder)
     cell.write_text(before, encoding="utf-8")
     assert api.resume(lab=lab_folder.folder).exit_code == 0
+
+
+def test_a_run_that_had_to_ask_and_nobody_was_there_goes_on_with_somebody(lab_folder: LabFolder) -> None:
+    """It stayed unattended, and stopped at the same question each time that it was resumed."""
+    lab_folder.write("skills/quiet.py", QUIET)
+    lab_folder.write("trees/ask.yaml", "workflow: ask\ntree: {quiet: }\n")
+    recipe = lab_folder.write("recipes/ask.yaml", "recipe: ask\nworkflow: ask\nsamples: [{id: a}]\n")
+    lab = api.open_lab(lab_folder.folder)
+    begun = lab.dry_run(recipe, journals=lab.state / "runs", unattended=True)
+    assert (begun.exit_code, "operator.absent: " in begun.reason) == (3, True)
+    as_begun = api.resume(lab=lab_folder.folder)
+    assert (as_begun.exit_code, "operator.absent: " in as_begun.reason) == (3, True)
+    assert api.resume(lab=lab_folder.folder, attended=True).exit_code == 0
+
+
+def test_a_run_that_needs_a_person_is_not_resumed_where_nobody_stays(lab_folder: LabFolder, command: Call) -> None:
+    lab_folder.replace("robot/cell.yaml", "{driver: carousel, slots: 24}", "{driver: operator}")
+    recipe = lab_folder.write("recipes/two.yaml", json.dumps({"recipe": "two", **two_samples()}))
+    stopped_after_the_first(api.open_lab(lab_folder.folder), recipe, [])
+    refused = command("resume", "last", "--lab", lab_folder.folder, "--unattended")
+    assert refused.returncode == 2
+    assert "an unattended run cannot wait for a person, but one is needed" in refused.stderr
 
 
 def test_of_an_altered_journal_nothing_is_a_result(lab_folder: LabFolder) -> None:

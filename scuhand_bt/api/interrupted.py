@@ -47,13 +47,20 @@ class Interrupted:
         return self._options.simulation is None
 
     def prepare(
-        self, *, person: "Person | None" = None, may_torque: bool = False, control: "Control | None" = None
+        self,
+        *,
+        person: "Person | None" = None,
+        may_torque: bool = False,
+        attended: bool | None = None,
+        control: "Control | None" = None,
     ) -> Session:
         """The run made ready to go on, once, in a `with closing(session)`. Raises as `Session`.
 
-        `may_torque`: who resumes it has seen the arm, which may be held where it is if it has no torque.
+        `may_torque`: who resumes it has seen the arm, which may be held where it is if it has no torque. `attended`:
+        whether somebody is there now and can be asked; None where it is as when the run was begun.
         """
-        options = replace(self._options, person=person, may_torque=may_torque)
+        unattended = self._options.unattended if attended is None else not attended
+        options = replace(self._options, person=person, may_torque=may_torque, unattended=unattended)
         return Session(self.plan, self.lab.lab, options, control=control, resumes=self._found)
 
 
@@ -83,6 +90,7 @@ def resume(
     pin: str | None = None,
     accept_changes: bool = False,
     may_torque: bool = False,
+    attended: bool | None = None,
     control: "Control | None" = None,
     on_sample: OnSample | None = None,
     on_event: OnEvent | None = None,
@@ -90,15 +98,17 @@ def resume(
     """Go on with a run that was stopped or killed, as it was begun, without doing anything twice.
 
     `run` and `lab` as `find_run` has them; `operator` and `pin` as of `OpenLab.run`, needed on the cell alone;
-    `accept_changes` and `may_torque` as of `take_up` and `Interrupted.prepare`. `on_event` is told from the first new
-    entry. Raises as `find_run`, `take_up` and `Session` do, and ValueError for who is not named, or has not proven it.
+    `accept_changes`, `may_torque` and `attended` as of `take_up` and `Interrupted.prepare`. `on_event` is told from the
+    first new entry. Raises as `find_run`, `take_up` and `Session` do, and ValueError for who is not named, or has not
+    proven it.
     """
     its = run if isinstance(run, PastRun) else find_run(run, lab)
     with take_up(its, accept_changes=accept_changes) as found:
         if operator is None and found.is_on_the_cell:
             raise ValueError("a run on the cell needs a person's name: give it as `operator`")
         person = person_of(its.state, operator, pin) if operator is not None else None
-        return ran(found.prepare(person=person, may_torque=may_torque, control=control), on_sample, on_event)
+        session = found.prepare(person=person, may_torque=may_torque, attended=attended, control=control)
+        return ran(session, on_sample, on_event)
 
 
 def what_is_known(history: "History", samples: int) -> list[str]:

@@ -24,6 +24,7 @@ from scuhand_bt.cli.shared import (
     LabOption,
     OperatorOption,
     RunArgument,
+    UnattendedFlag,
     app,
     err,
     note_problems,
@@ -56,6 +57,7 @@ def resume(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Go on without asking.")] = False,
     operator: OperatorOption = None,
+    unattended: UnattendedFlag = False,
     dashboard: DashboardFlag = False,
     groot: GrootOption = None,
     events: EventsOption = None,
@@ -83,9 +85,13 @@ def resume(
             asked = "Is the cell as described, may the arm be held where it is, and may the run go on?"
             typer.confirm(asked, abort=True)
 
+        may_torque = yes or out.is_terminal
+        # Whoever resumes it by hand is there, also if nobody was when it began.
+        attended = False if unattended else True if out.is_terminal and found.is_on_the_cell else None
+
         def make(control: "Control") -> "Session":
             with told_if_long(GETS_READY, quiet=quiet):
-                return found.prepare(person=person, may_torque=yes or out.is_terminal, control=control)
+                return found.prepare(person=person, may_torque=may_torque, attended=attended, control=control)
 
         shows = how_much(quiet=quiet, verbose=verbose)
         run_to_its_end(make, json_file, shows, dashboard=dashboard, groot=groot, tell=tell)
