@@ -21,8 +21,8 @@ from typing import Any
 
 from harness.kill import Tally, judge
 from harness.postgres import Server
+from scuhand_bt.fleet.of_journal import key_of
 from scuhand_bt.fleet.queue import QueuedJob, open_queue
-from scuhand_bt.fleet.station import key_of
 from scuhand_bt.journal.store import read_only
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import make_plan

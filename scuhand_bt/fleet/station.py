@@ -11,11 +11,9 @@ import json
 import math
 import os
 import secrets
-import sqlite3
 import sys
-from collections import Counter
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,17 +22,14 @@ from procrastinate.jobs import Status
 
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.fleet.needs import offer_of
+from scuhand_bt.fleet.of_journal import came_to, key_of
 from scuhand_bt.fleet.order import Order, write
 from scuhand_bt.fleet.queue import ENDED, HELD_BACK, LONGEST_NAME, Queue, Taken
 from scuhand_bt.journal.archive import state_of
 from scuhand_bt.journal.follow import Follower
-from scuhand_bt.journal.history import History, read_history
+from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.pace import time_left_s
 from scuhand_bt.journal.presence import Held, Presence, is_held
-from scuhand_bt.journal.reader import open_journal
-from scuhand_bt.journal.results import SampleResult
-from scuhand_bt.journal.run_events import RunBegun
-from scuhand_bt.journal.store import read_only
 from scuhand_bt.lab import Lab, load_lab, state_folder
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.run.control import say_wish
@@ -295,16 +290,16 @@ class Station:
         if (ended := history.ended) is not None and history.is_complete:
             is_done = ended.exit_code in (ExitCode.OK, ExitCode.FLAGGED)
             status = Status.SUCCEEDED if is_done else Status.FAILED
-            return await self._over(taken, status, run, _came_to(history))
+            return await self._over(taken, status, run, came_to(history))
         if taken.job.abort_requested:
-            return await self._over(taken, Status.ABORTED, run, f"cancelled; {_came_to(history)}")
+            return await self._over(taken, Status.ABORTED, run, f"cancelled; {came_to(history)}")
         resumes = self._manner.resumes and not self._is_leaving.is_set()
         if ended is None and resumes and run not in self._resumed:
             self._resumed.add(run)
             self._say(f"job {taken.id}: {run} was killed, and is resumed")
             await self._start(self._orders / RESUMED, "resume", run)
             return False
-        what = f"{_came_to(history)}; `scuhand-bt resume {run}` goes on with it"
+        what = f"{came_to(history)}; `scuhand-bt resume {run}` goes on with it"
         if ended is None and run in self._resumed and (said := _last_words(self._orders / RESUMED)):
             what = f"{what}. When this station resumed it: {said}"
         return await self._hold_back(taken, run, what)
@@ -361,38 +356,8 @@ class Station:
             self._said = line
 
 
-def key_of(journal: Path) -> str | None:
-    """The key of the order that a run was begun for: its recipe is in the folder of that name. None: it has not begun.
-
-    SourceError for a journal that cannot be read: whose it is nobody knows, and no run is to be begun twice.
-    """
-    query = f"SELECT json_extract(payload, '$.recipe_path') FROM entry WHERE kind = '{RunBegun.KIND}'"
-    with suppress(OSError, sqlite3.Error), closing(read_only(journal)) as file:
-        if file.execute("PRAGMA user_version").fetchone()[0] == 0:
-            return None
-    try:
-        with open_journal(journal) as (database, _):
-            row = database.execute(query).fetchone()
-            return Path(row[0]).parent.name if row is not None else None
-    except SourceError as error:
-        what = "no job begins here meanwhile, as this may be a job's: bring it back, or move it away if it is no job's"
-        raise SourceError([Problem(problem.mark, f"{problem.message}; {what}") for problem in error.problems]) from None
-
-
 def _last_words(log: Path) -> str:
     return log.read_text(encoding="utf-8", errors="replace").strip()[-LAST_WORDS:]
-
-
-def _came_to(history: History) -> str:
-    last = {sample: result for (sample, _), result in history.samples.items()}
-    counts = ", ".join(f"{many} {words}" for words, many in Counter(map(_in_words, last.values())).items())
-    why = (history.ended.reason or "done") if history.ended is not None else "it was killed"
-    return f"{why} ({counts or 'no sample done'})"
-
-
-def _in_words(result: SampleResult) -> str:
-    is_doubtful = result.verdict == "in tolerance" and not result.is_good
-    return f"{result.verdict} but not good" if is_doubtful else result.verdict
 
 
 def _identity(path: Path) -> str:
