@@ -176,7 +176,7 @@ class Dispense(Skill[Dose]):
         self._learn(cell, run)
         for pair in run.watched:
             note_moved(cell, *pair)
-        believed.zero_stepped(self._fell_mg(cell, run))
+        believed.zero_stepped(max(run.stepped_mg, self._fell_mg(cell, run)))
         pause_s = watch_s(before, run.last, self.tolerance_mg)
         after, mean = yield from weigh_until_still(cell, run.last, 0.0, pause_s, may_gain=True)
         self._require_alive(cell, mean.value_mg - before.gross_mg)

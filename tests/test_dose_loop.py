@@ -255,6 +255,20 @@ def test_a_weighing_after_all_has_been_shown_is_not_made_again() -> None:
     assert len(loop.record.pulses) == 1
 
 
+@pytest.mark.parametrize(("moved_mg", "stepped_mg"), [(-7.0, 7.0), (7.0, 7.0), (-3.5, 0.0), (3.5, 0.0)])
+def test_what_changes_by_more_than_a_filter_may_still_swing_while_it_is_waited_for_is_a_step(
+    moved_mg: float, stepped_mg: float
+) -> None:
+    """It may be off by 1.8 mg when the controller weighs for the last time."""
+    loop = Loop([Pulse(1.0, 0.5, wait_s=4.0)], [100.0, 100.0])
+    loop.pan.latest = Reading(EMPTY_MG, True, BEGAN_S)
+    loop.came = swinging(1.0)
+    loop.pan.creep_mg = iter([0.0, moved_mg])
+    run = loop.run()
+    assert len(loop.record.pulses) == 2
+    assert run.stepped_mg == pytest.approx(stepped_mg)
+
+
 def test_of_a_filter_that_has_long_shown_all_nothing_more_is_waited_for_than_its_delay() -> None:
     loop = Loop([Stream(1.0), Stream(0.0), Weigh(31.0)], [0.0, 100.0, 100.0])
     loop.believed = BalanceBelief(lag_s=1.0)

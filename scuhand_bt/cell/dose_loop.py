@@ -14,7 +14,7 @@ from itertools import pairwise
 
 from scuhand_bt.clock import Clock, Steps, pause
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
-from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, settled_from
+from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, moved_mg, settled_from
 from scuhand_bt.dosing.characteristic import Curve, Step
 from scuhand_bt.dosing.controller import (
     LONGEST_UNWEIGHED_S,
@@ -80,6 +80,8 @@ class DoseRun:
     vibration_s: float
     duration_s: float
     curve: list[CurvePoint] = field(default_factory=list)
+    stepped_mg: float = 0.0
+    """By how much its weighing changed as the balance swung out; 0 where that may have been its swing."""
 
 
 BARREN_S = 60.0
@@ -165,6 +167,7 @@ def run_dose(
     streaming = False
     last = reference.before
     watched: list[tuple[Gross, Gross]] = []
+    stepped_mg = 0.0
     kept = _Kept(max(RINGS, swing_of(came).share))
     flow, barren_s = _Flow(reference.earlier.mass_mg), max(BARREN_S, BARREN_READINGS * period_s)
 
@@ -271,13 +274,17 @@ def run_dose(
             rests_s = shown_by_s(request.balance, came, readings, net_mg, digit_mg)
             if last.time_s < rests_s:  # it was weighed as it swung
                 hand.stop()
-                weighed_s = last.time_s
+                swinging = last
                 yield from pause(clock, rests_s - clock.now_s)
                 mean = yield from balance.stable_mean(balance.spec.settles_s)
-                record.event(_pulsed(Weigh(), weighed(mean), weighed_s, mean))
+                seen = weighed(mean)
+                record.event(_pulsed(Weigh(), seen, swinging.time_s, mean))
+                swings_mg = _swings_mg(request.balance, came, readings, seen.net_mg, digit_mg, swinging.time_s)
+                moved = abs(moved_mg(swinging, last, digit_mg))
+                stepped_mg = moved if moved > swings_mg else 0.0
     finally:
         hand.stop()
-    return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
+    return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve, stepped_mg)
 
 
 def _rests_s(balance: BalanceBelief, came: Step | None, shown: Curve, now_s: float, readability_mg: float) -> float:
@@ -290,6 +297,20 @@ def _rests_s(balance: BalanceBelief, came: Step | None, shown: Curve, now_s: flo
         return now_s + SETTLED * delay_s * math.exp(balance.doubt)
     now_mg = shown[-1][1] if shown else 0.0
     return max(now_s + delay_s, shown_by_s(balance, came, shown, now_mg, readability_mg))
+
+
+def _swings_mg(
+    balance: BalanceBelief, came: Step | None, shown: Curve, now_mg: float, readability_mg: float, at_s: float
+) -> float:
+    """By how much a balance may have been off at a time at most [mg].
+
+    That is twice as much, or more, as if all had come at once: it may have come bit by bit.
+    """
+    most_mg = max((abs(shown_mg - now_mg) for _, shown_mg in shown), default=0.0)
+    swings_mg = readability_mg
+    while swings_mg < most_mg and shown_by_s(balance, came, shown, now_mg, swings_mg) > at_s:
+        swings_mg *= 2.0
+    return swings_mg
 
 
 def _held(waiting: Steps[Reading], hold_s: float, hand: Hand, clock: Clock) -> Steps[tuple[Reading, bool]]:
