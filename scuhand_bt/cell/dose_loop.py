@@ -279,7 +279,7 @@ def run_dose(
                 mean = yield from balance.stable_mean(balance.spec.settles_s)
                 seen = weighed(mean)
                 record.event(_pulsed(Weigh(), seen, swinging.time_s, mean))
-                swings_mg = _swings_mg(request.balance, came, readings, seen.net_mg, digit_mg, swinging.time_s)
+                swings_mg = _swings_mg(request.balance, came, readings, net_mg, digit_mg, swinging.time_s)
                 moved = abs(moved_mg(swinging, last, digit_mg))
                 stepped_mg = moved if moved > swings_mg else 0.0
     finally:
