@@ -121,10 +121,16 @@ def test_a_load_that_was_not_the_last_of_its_dose_is_not_told_with_its_verdict(t
 def test_of_two_powders_each_dose_has_its_name_and_the_worst_is_so_by_its_own_tolerance(tmp_path: Path) -> None:
     asked = "masses: [300 mg, 300 mg], tolerances: [3 mg, 6 mg], first: beads, sources: [beads, msg]"
     sample = f"samples: [{{id: mix, container: alumina_crucible, {asked}}}]\n"
-    ran = dry_run(tmp_path, f"recipe: two\nworkflow: weigh_in\n{sample}{SOURCES}", controller=None, seed=5)
-    beads, msg = ran.result.samples[0].doses
-    assert abs(msg.error_mg) / 6.0 > abs(beads.error_mg) / 3.0
-    assert abs(msg.error_mg) - 6.0 < abs(beads.error_mg) - 3.0, "nearer to its bound in mg is the other one"
+    recipe = f"recipe: two\nworkflow: weigh_in\n{sample}{SOURCES}"
+    for seed in range(10):  # the last digits of a sum differ from processor to processor, and so does a dose
+        (folder := tmp_path / str(seed)).mkdir()
+        ran = dry_run(folder, recipe, controller=None, seed=seed)
+        beads, msg = ran.result.samples[0].doses
+        is_worst = abs(msg.error_mg) / 6.0 > abs(beads.error_mg) / 3.0
+        if is_worst and abs(msg.error_mg) - 6.0 < abs(beads.error_mg) - 3.0:
+            break
+    else:
+        pytest.fail("in no run the dose that is worst is farther from its bound in mg than the other one")
     text = page_of(ran.journal)
     assert f"{msg.error_mg:+.1f} mg of ±6worst error" in Tables(text).text
     assert "mix: glass_be…" in text
