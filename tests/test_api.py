@@ -14,6 +14,7 @@ from typing import Any
 import jsonschema
 import pytest
 from conftest import REPOSITORY, Call, LabFolder
+from quiet_skill import QUIET
 
 from scuhand_bt import api
 from scuhand_bt.journal import telling
@@ -26,17 +27,6 @@ RECIPE: dict[str, Any] = {
     "sources": {"beads": SOURCE},
     "samples": [{"id": "a", "source": "beads", "container": "xrd_holder", "mass": "50 mg"}],
 }
-
-QUIET = """\
-from scuhand_bt.skill import Cell, Skill, Steps
-
-
-class Quiet(Skill[None]):
-    \"\"\"Ask without having said so.\"\"\"
-
-    def run(self, cell: Cell) -> Steps[None]:
-        yield from cell.operator.ask("Press the button")
-"""
 
 
 @pytest.fixture(scope="module")

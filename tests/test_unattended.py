@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from conftest import Desk, LabFolder, problems_of
+from quiet_skill import QUIET
 from running import Watching, make_lab, shared_planner
 
 from scuhand_bt.failures import SkillFailed
@@ -83,18 +84,6 @@ def test_a_changer_that_must_be_filled_again_needs_a_person(desk: Desk, lab_fold
     desk.lab = lab_folder.load()
     (told,) = refusals(plan_of(desk))
     assert "needed at 'b': fill the changer again (it holds 1)" in told
-
-
-QUIET = """\
-from scuhand_bt.skill import Cell, Skill, SkillFailed, Steps
-
-
-class Quiet(Skill[None]):
-    \"\"\"Ask without having said so.\"\"\"
-
-    def run(self, cell: Cell) -> Steps[None]:
-        yield from cell.operator.ask("Press the button")
-"""
 
 
 @pytest.mark.parametrize("asks", [True, False])
