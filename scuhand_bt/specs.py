@@ -142,6 +142,8 @@ class BalanceBelief(Spec):
     """The kind of filter that delays it so, of `BALANCE_SHAPES`."""
     adapts: bool = False
     """Its filter takes its time while little changes, and hurries while much does: an opening shows one of the two."""
+    slow_mg: Annotated[Milligrams, NotNegative] = 0.0
+    """With less than this missing it takes its time, if it adapts; 0 where no container has told."""
     misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.02
     """The share of what was not yet read that this model of the balance was off by, noise apart."""
     noise_mg: Annotated[Milligrams, NotNegative] = 0.1
@@ -152,6 +154,11 @@ class BalanceBelief(Spec):
     """How many steps and openings the lag was learnt from; 0 while it is only assumed."""
     shown_s: Annotated[Seconds, NotNegative] = 0.0
     """How late it has shown a container; 0 where none has told."""
+
+    @property
+    def may_be_late(self) -> bool:
+        """Whether a person's container has shown that it adapts: a dead time is not in that."""
+        return self.adapts and self.shown_s == 0.0
 
 
 class Departure(StrEnum):

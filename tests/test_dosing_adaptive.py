@@ -104,12 +104,20 @@ class Openings(Adaptive):
 
 
 @pytest.mark.parametrize(
-    ("adapts", "target_mg", "is_apart"), [(True, 500.0, True), (True, 35.0, False), (False, 500.0, False)]
+    ("adapts", "slow_mg", "target_mg", "is_apart"),
+    [
+        (True, 0.0, 500.0, True),
+        (True, 0.0, 35.0, False),
+        (False, 0.0, 500.0, False),
+        (True, 150.0, 500.0, True),
+        (True, 150.0, 250.0, False),
+    ],
 )
 def test_on_a_balance_that_adapts_the_last_of_a_dose_comes_out_of_another_opening(
-    adapts: bool, target_mg: float, is_apart: bool
+    adapts: bool, slow_mg: float, target_mg: float, is_apart: bool
 ) -> None:
-    controller = Openings(request(target_mg=target_mg, balance=QUICK.model_copy(update={"adapts": adapts})))
+    balance = QUICK.model_copy(update={"adapts": adapts, "slow_mg": slow_mg})
+    controller = Openings(request(target_mg=target_mg, balance=balance))
     known, command, shown_mg = controller._known, controller.decide(None), 0.0
     while not isinstance(command, Finish):
         time_s, is_stream = known.time_s + PERIOD_S, isinstance(command, Stream)
@@ -117,7 +125,8 @@ def test_on_a_balance_that_adapts_the_last_of_a_dose_comes_out_of_another_openin
         shown_mg += BEADS.coefficient * known.rows[-1].phi_s if is_stream and known.rows else 0.0
     near_mg = [left_mg for ended, left_mg in controller.ended if ended == "near"]
     assert len(near_mg) == is_apart
-    assert all(15.0 < left_mg < 30.0 for left_mg in near_mg)
+    least_mg = max(slow_mg - 5.0, 15.0)
+    assert all(least_mg < left_mg < 2.0 * least_mg for left_mg in near_mg)
     assert shown_mg == pytest.approx(target_mg, abs=2.0)
 
 

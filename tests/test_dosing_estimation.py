@@ -17,6 +17,7 @@ from scuhand_bt.dosing.identification import (
     LEAST_DELAY_S,
     LEAST_DOUBT,
     LONGEST_S,
+    MOST_SLOW_MG,
     SHAPES,
     Row,
     balance_by,
@@ -120,6 +121,22 @@ def test_of_a_filter_that_adapts_a_container_tells_that_it_may_be_slower(delay_s
     assert delay_s * patience < 2.0 * found.lag_s * both
     assert found.adapts
     assert not is_linear(step, 0.0)
+
+
+def test_of_a_filter_that_adapts_a_persons_container_leaves_open_whether_it_has_a_dead_time() -> None:
+    """Else 3 g on one with a dead time of a second was 90 mg too much."""
+    found = balance_of(step_on(balance("adaptive", 0.6)))
+    banks = [Bank.believing(found.model_copy(update={"shown_s": shown_s}), 0.1) for shown_s in (0.6, 0.0)]
+    late = [float(bank.weights[bank.pure > 0.5].sum()) for bank in banks]
+    assert late == pytest.approx([0.02 * 2 / 6, 2 / 7], rel=0.02)
+
+
+@pytest.mark.parametrize("restless_mg", [5.0, 50.0, 150.0, 1000.0])
+def test_of_a_filter_that_adapts_a_container_tells_with_how_much_missing_it_is_slow(restless_mg: float) -> None:
+    """Of 500 mg and 3 g, where it is slow within 50 mg, 16 of 24 doses were up to 22 mg too much."""
+    found = balance_of(step_on(balance("adaptive", 0.6, patience=4.0, restless_mg=restless_mg)))
+    assert found.adapts
+    assert found.slow_mg == pytest.approx(min(restless_mg, MOST_SLOW_MG), rel=0.5)
 
 
 def test_the_slow_face_of_a_slow_filter_that_adapts_is_believed_no_later_than_any_balance() -> None:

@@ -208,6 +208,13 @@ def test_a_balance_that_is_doubted_is_no_longer_known_and_the_next_dose_is_told(
     assert kept.doubt == 1.0
 
 
+@pytest.mark.parametrize(("shown_s", "fits", "is_known"), [(0.0, 1, False), (0.0, 2, True), (0.6, 1, True)])
+def test_a_persons_container_alone_is_not_enough_to_open_wide(shown_s: float, fits: int, is_known: bool) -> None:
+    """It hides a dead time: first doses of 50 mg were 10 and 22 mg too much."""
+    adapting = QUICK.model_copy(update={"adapts": True, "shown_s": shown_s, "fits": fits})
+    assert Knowledge(request(balance=adapting)).knows_balance == is_known
+
+
 def test_a_balance_that_adapts_creeps_and_is_known_all_the_same() -> None:
     known = Knowledge(request(balance=QUICK.model_copy(update={"adapts": True, "doubt": 0.4})))
     known.doubt_balance(Doubt(5.0, 1.0))

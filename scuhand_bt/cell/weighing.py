@@ -24,7 +24,7 @@ from scuhand_bt.dosing.bracket import (
     together,
 )
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
-from scuhand_bt.dosing.identification import balance_of, is_linear, is_unlike, rings, shown_by_s
+from scuhand_bt.dosing.identification import balance_by_hand, balance_of, is_linear, is_unlike, rings, shown_by_s
 from scuhand_bt.events.weighings import (
     BalanceAdapts,
     BalanceChanged,
@@ -32,6 +32,7 @@ from scuhand_bt.events.weighings import (
     ContainerAgain,
 )
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.specs import BalanceBelief
 
 PATIENCE_S = 60.0
 """How long two weighings in a row may go on differing."""
@@ -352,6 +353,13 @@ def seems_to_adapt(cell: Cell, step: Step, beyond: float = SURELY) -> bool:
     return 2.0 * balance_of(step).lag_s > step.delay_s + cell.spec.balance.period_s
 
 
+def _adapting_by_hand(cell: Cell, step: Step) -> BalanceBelief | None:
+    """The balance, where a person's container shows that it adapts and that was not known; else None."""
+    if not cell.changer.needs_person or cell.balance_belief.adapts:
+        return None
+    return balance_by_hand(step, SURELY, cell.spec.balance.period_s)
+
+
 def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = False) -> None:
     """Before a dose: believe the container about a balance that is slower, quicker or of another filter now.
 
@@ -366,7 +374,8 @@ def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = F
     is_slower = delay_s > SLOWER * known_s + inexact_s
     if is_slower:
         cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
-    found, known = balance_of(step), cell.balance_belief
+    adapting, known = _adapting_by_hand(cell, step), cell.balance_belief
+    found = adapting or balance_of(step)
     has_begun_to_adapt = has_seemed_to_adapt and seems_to_adapt(cell, step, beyond=0.0)
     # Where nothing is known of the balance, one container in two hundred looks like it by chance.
     adapts_no_more = known.adapts and is_linear(step, SURELY)
@@ -374,7 +383,7 @@ def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = F
     is_quicker = known.shown_s > SLOWER * delay_s + inexact_s
     is_other = known.fits > 0 and known.shown_s > 0.0 and (is_quicker or is_unlike(step, known.shape))
     is_news = known.fits == 0 or has_begun_to_adapt or adapts_no_more or is_other
-    if is_slower or (is_news and not cell.changer.needs_person):
+    if adapting is not None or is_slower or (is_news and not cell.changer.needs_person):
         if known.fits > 0 and found.adapts != known.adapts:
             late_s = {"delay_s": delay_s, "last_s": step.last_s, "last_uncertainty_s": step.last_uncertainty_s}
             cell.record.event(BalanceAdapts(adapts=found.adapts, **late_s))

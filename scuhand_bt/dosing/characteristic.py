@@ -34,6 +34,11 @@ LAST_MG = 3.0
 """The last part of a step, which a filter that adapts treats as a small change, and slowly."""
 STEP_SHARE = 0.01
 """A step has come when more than this share of it is shown."""
+HAND_SHARE, SWINGS_SHARE = 0.1, 0.03
+"""A person's hand has let go of a container when less than the first share of it is missing. A filter swings back if it
+then shows more than there is, by the second share of what was missing."""
+RESTS = 4.0
+"""By so many times the time until no more than `LAST_MG` is missing, a filter has come to rest."""
 
 HELD_READINGS, HELD_DIGITS = 8, 5
 """A display that shows the same for HELD_READINGS, and then jumps by more than HELD_DIGITS, held its value."""
@@ -80,6 +85,27 @@ class Step(NamedTuple):
         """Standard uncertainty of `last_s`, which grows with the time looked at."""
         times_s = [time_s for time_s, _ in self._shown_last]
         return (times_s[-1] - times_s[0]) * self.uncertainty_mg / LAST_MG
+
+    def let_go(self) -> "Step | None":
+        """Its last tenth, which no hand is in any more; None where too little is seen of it, or where it swings back.
+
+        A hand that pressed on the pan leaves from above. What is read long after, before the person says that they are
+        done, is left out: it makes `last_s` less certain.
+        """
+        touched = [number for number, share in enumerate(self.missing) if abs(share) > HAND_SHARE]
+        if not touched:
+            return None
+        begins_s, whole = self.times_s[touched[-1]], self.missing[touched[-1]]
+        rests_s = begins_s + RESTS * (self._shown_last[0][0] - begins_s)
+        rest = [
+            (time_s - begins_s, share / whole)
+            for time_s, share in zip(self.times_s, self.missing, strict=True)
+            if begins_s < time_s <= rests_s
+        ]
+        if min((share for _, share in rest), default=-1.0) < -SWINGS_SHARE:
+            return None
+        times_s, shares = zip(*rest, strict=True)
+        return Step(abs(self.step_mg * whole), times_s, tuple(map(abs, shares)), self.uncertainty_mg)
 
     @property
     def _shown_last(self) -> list[tuple[float, float]]:

@@ -98,7 +98,8 @@ class Bank:
         A balance set faster is never assumed: a sheet that has stuck and lets out more than expected looks the same.
         """
         shape, doubt = balance.shape if balance.fits else None, max(balance.doubt, LEAST_DOUBT)
-        return cls(*_thinkable(balance.lag_s, doubt, shape, SAME_SHAPE), surge_mg, balance.misfit)
+        surely = 1.0 / len(SHAPES) if balance.may_be_late else SAME_SHAPE
+        return cls(*_thinkable(balance.lag_s, doubt, shape, surely), surge_mg, balance.misfit)
 
     def restart(
         self, mass_mg: float, sd_mg: float, coefficient: float, spread: float, error_mm: float = OPENING_ERROR_MM

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scuhand_bt.dosing.characteristic import Curve, Step
+from scuhand_bt.dosing.characteristic import LAST_MG, Curve, Step
 from scuhand_bt.specs import BalanceBelief
 
 Array = NDArray[np.float64]
@@ -42,6 +42,10 @@ ADAPTS, SLOWEST = 0.2, 6.0
 SLOWEST times slower for little changes."""
 LEAST_LAST = 0.3
 """Least time that the last of a step should take, as a share of the delay, when that factor is computed."""
+MOST_SLOW_MG = 200.0
+"""The most that a filter that adapts may miss and be taken for slow."""
+TENTH = 2.0
+"""How many times later a step is than its last tenth, at most."""
 LEAST_DOUBT = 0.08
 """Least doubt of what is believed: standard deviation of the delay's logarithm."""
 UNLIKE = 0.15
@@ -188,8 +192,44 @@ def balance_of(step: Step, beyond: float = 0.0) -> BalanceBelief:
     misfit = min(far / max(math.hypot(*step.missing), 1e-9), 1.0)
     lag_s = min(max(delay_s * math.sqrt(slower), LEAST_DELAY_S), LONGEST_S) / 2.0
     return BalanceBelief(
-        lag_s=lag_s, doubt=doubt, shape=shape, adapts=adapts, misfit=misfit, fits=1, shown_s=max(delay_s, 0.0)
+        lag_s=lag_s,
+        doubt=doubt,
+        shape=shape,
+        adapts=adapts,
+        slow_mg=_slow_mg(step, linear_s) if adapts else 0.0,
+        misfit=misfit,
+        fits=1,
+        shown_s=max(delay_s, 0.0),
     )
+
+
+def _slow_mg(step: Step, linear_s: float) -> float:
+    """With less than this missing [mg], a filter that adapts is nearer to its slow speed than to its quick one."""
+    between_s = math.sqrt(max(linear_s, LEAST_LAST * step.delay_s) * step.last_s)
+    missing_mg = np.abs(step.missing) * abs(step.step_mg)
+    times_s, slow_mg = np.array(step.times_s), LAST_MG
+
+    def missed_s(mass_mg: float) -> float:
+        return float(np.max(times_s[missing_mg > mass_mg], initial=0.0))
+
+    while slow_mg < MOST_SLOW_MG and missed_s(slow_mg) - missed_s(2.0 * slow_mg) > math.log(2.0) * between_s:
+        slow_mg *= 2.0
+    return min(slow_mg, MOST_SLOW_MG)
+
+
+def balance_by_hand(step: Step, beyond: float, least_s: float) -> BalanceBelief | None:
+    """The balance by a container that a person has put down, where that shows a filter that adapts; else None.
+
+    How long the hand took is in the step, but not in its last tenth. That must be longer than a plain filter's by
+    `beyond` standard deviations, and by `least_s`.
+    """
+    last = step.let_go()
+    if last is None or last.delay_s < LEAST_DELAY_S or not (found := balance_of(last, beyond)).adapts:
+        return None
+    if 2.0 * found.lag_s <= last.delay_s + least_s:
+        return None
+    later = max(min(step.delay_s / last.delay_s, TENTH), 1.0)
+    return found.model_copy(update={"lag_s": min(later * found.lag_s, LONGEST_S / 2.0)})
 
 
 def is_unlike(step: Step, shape: str) -> bool:

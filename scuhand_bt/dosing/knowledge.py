@@ -58,7 +58,7 @@ HARDLY_EVER = 2.6
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
 """Least spread between doses: until a second one was seen, and ever."""
 NEAR_MG = 20.0
-"""On a balance that adapts an opening ends this far short of the aim; the rest comes out of others (`near`)."""
+"""On a balance that adapts an opening ends at least this far short of the aim; the rest comes out of others."""
 FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
 """Share of the difference by which the reference follows the flow at each sight; if that is surely stronger."""
 LEAST_WEIGHT = 0.2
@@ -111,7 +111,7 @@ class Knowledge:
         """The coefficient with which powder has surely flowed in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.erratic = self.erratic
-        self.hurries = self.balance.adapts and self.aim_mg - mass_mg > 2.0 * NEAR_MG
+        self.hurries = self.balance.adapts and self.aim_mg - mass_mg > 2.0 * self.near_mg
         """Whether so much is missing that an adapting filter shows its quick speed; the last of a dose shows both."""
         if self.balance.adapts and not self.hurries:
             self.bank.temper = 0.0
@@ -193,6 +193,11 @@ class Knowledge:
     def room_mg(self) -> float:
         """What may still leave."""
         return self.most_mg - self.bank.mass_mg
+
+    @property
+    def near_mg(self) -> float:
+        """On a balance that adapts, what is missing to the aim when the last of a dose begins."""
+        return max(NEAR_MG, self.balance.slow_mg)
 
     @property
     def least_mg(self) -> float:
@@ -323,8 +328,8 @@ class Knowledge:
 
     @property
     def knows_balance(self) -> bool:
-        """Whether anything is known of the balance."""
-        return self.balance.fits > 0
+        """Whether anything is known of the balance, and more than a person's container can show."""
+        return self.balance.fits > (1 if self.balance.may_be_late else 0)
 
     def doubt_balance(self, doubt: Doubt) -> None:
         """Note that a stable mean was far from the expected; the balance then counts as unknown."""

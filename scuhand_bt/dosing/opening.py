@@ -9,7 +9,7 @@ import math
 from typing import Literal
 
 from scuhand_bt.dosing.constraint import RISK
-from scuhand_bt.dosing.knowledge import NEAR_MG, RISEN, SURE, Knowledge
+from scuhand_bt.dosing.knowledge import RISEN, SURE, Knowledge
 from scuhand_bt.dosing.unseen import begins_mm, hold_s, seen_s, sees_s
 
 EVIDENT_S = 0.3
@@ -95,7 +95,7 @@ class Opening:
         shut_mg, _ = bank.over_all(*bank.coming(*known.valve.closing(period_s / 2.0)))
         if shut_mg >= known.aim_mg:
             return "reached"
-        if known.hurries and shut_mg >= known.aim_mg - NEAR_MG:
+        if known.hurries and shut_mg >= known.aim_mg - known.near_mg:
             return "near"
         if not self._lump_mg and bank.chance(*known.valve.closing(period_s), self._most_mg) > RISK:
             return "fear"
