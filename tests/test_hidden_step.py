@@ -54,7 +54,27 @@ def ringing(damping: float, own_per_s: float = 5.0) -> Filter:
     return filtered
 
 
-FILTERS = {"0.3 s": poles(0.3), "0.6 s": poles(0.6), "a mean": mean(1.0), "ringing": ringing(0.5)}
+def adapting(quick_s: float, slow_s: float, within_mg: float) -> Filter:
+    def filtered(load_mg: np.ndarray) -> np.ndarray:
+        shown_mg = np.empty_like(load_mg)
+        shown_mg[0] = first_mg = load_mg[0]
+        for number in range(1, len(load_mg)):
+            is_near = abs(load_mg[number] - shown_mg[number - 1]) < within_mg
+            step = -np.expm1(-FINE_S / (slow_s if is_near else quick_s))
+            first_mg += (load_mg[number] - first_mg) * step
+            shown_mg[number] = shown_mg[number - 1] + (first_mg - shown_mg[number - 1]) * step
+        return shown_mg
+
+    return filtered
+
+
+FILTERS = {
+    "0.3 s": poles(0.3),
+    "0.6 s": poles(0.6),
+    "a mean": mean(1.0),
+    "ringing": ringing(0.5),
+    "adapting": adapting(0.2, 0.8, 8.0),
+}
 
 
 def shown(
@@ -111,13 +131,23 @@ def test_readings_that_arrive_unevenly_hardly_ever_tell_a_step(name: str) -> Non
 
 
 @pytest.mark.parametrize("stepped_mg", [3.0, -3.0, 1.5])
-@pytest.mark.parametrize(("name", "after_s"), [("0.3 s", 3.0), ("0.3 s", 3.3), ("0.6 s", 6.0), ("a mean", 1.4)])
+@pytest.mark.parametrize(
+    ("name", "after_s"), [("0.3 s", 3.0), ("0.3 s", 3.3), ("0.6 s", 6.0), ("a mean", 1.4), ("adapting", 4.0)]
+)
 @pytest.mark.parametrize("coming", [False, True])
 def test_a_step_on_a_pan_that_is_not_yet_at_rest_is_told(
     name: str, after_s: float, stepped_mg: float, coming: bool
 ) -> None:
     told = told_mg(FILTERS[name], stepped_mg, after_s, coming=coming)
     assert told > abs(stepped_mg) / 2.0, "what doubt 2.15 times as wide covers"
+
+
+@pytest.mark.parametrize("after", [poles(0.45), poles(0.6), mean(1.0), ringing(0.3)])
+def test_two_curves_of_different_filters_tell_no_step(after: Filter) -> None:
+    rng, at_s = np.random.default_rng(0), 1.05
+    came = shown(FILTERS["0.3 s"], np.where(at_s > TIMES_S, 0.0, MASS_MG), at_s, rng)
+    went = shown(after, np.where(at_s > TIMES_S, MASS_MG + 35.0, 0.0), at_s, rng)
+    assert hidden_step_mg(came, went, DIGIT_MG) == 0.0
 
 
 def test_too_little_of_a_curve_tells_nothing() -> None:

@@ -76,7 +76,7 @@ class Step(NamedTuple):
     @property
     def last_s(self) -> float:
         """T of the step's last `LAST_MG`, from the last reading that missed more than that."""
-        last = LAST_MG / self.step_mg
+        last = LAST_MG / abs(self.step_mg)
         points = [(time_s, min(share, last)) for time_s, share in self._shown_last]
         return sum((a + b) / 2.0 * (to_s - from_s) for (from_s, a), (to_s, b) in pairwise(points)) / last
 
@@ -110,7 +110,7 @@ class Step(NamedTuple):
     @property
     def _shown_last(self) -> list[tuple[float, float]]:
         """Times and shares, from the last reading that missed more than `LAST_MG`."""
-        last = LAST_MG / self.step_mg
+        last = LAST_MG / abs(self.step_mg)
         large = [number for number, share in enumerate(self.missing) if abs(share) > last]
         return list(zip(self.times_s, self.missing, strict=True))[large[-1] if large else 0 :]
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from scuhand_bt.dosing.bracket import fallen_mg
 from scuhand_bt.dosing.characteristic import Step
-from scuhand_bt.dosing.identification import LEAST_APART_S
+from scuhand_bt.dosing.identification import LEAST_APART_S, balance_of
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -40,8 +40,9 @@ BEND_SHARE = 0.25
 """Error of a curve between readings, as a share of its second differences (of a parabola, an eighth)."""
 CLEARER = 30.0
 """A step must explain this many times the variance that remains; tried on the filters of its tests, not derived."""
-LIKE = 3.0
-"""If more than this remains, in variances of a reading, the two curves are not of one filter."""
+LIKE, UNEXPLAINED = 3.0, 0.15
+"""If more than LIKE remains, in variances of a reading, the two curves are not of one filter. One that adapts shows a
+step more slowly than the load: there it is if more than UNEXPLAINED remains, as a share of what is to be explained."""
 SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3
 """A step must show undisguised in SEEN_READINGS, by this share and deviations; else it is the curve's own shape."""
 GAP_S = 0.2
@@ -83,7 +84,8 @@ def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
     left = misfit[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)
     best = np.unravel_index(int(left.argmin()), left.shape)
     stepped_mg, per_reading = abs(float(steps_mg[best])), left[best] / len(times_s)
-    is_clear = late - left[best] > CLEARER * per_reading and per_reading < LIKE
+    is_explained = left[best] < UNEXPLAINED * late and balance_of(sound).adapts
+    is_clear = late - left[best] > CLEARER * per_reading and (per_reading < LIKE or is_explained)
     plain = int(misfit.argmin())
     seen_mg = np.abs(off_mg[plain])
     shows = (seen_mg > SEEN_SHARE * stepped_mg) & (seen_mg > SEEN_SIGMAS * np.sqrt(variances[plain]))
