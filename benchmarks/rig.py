@@ -21,7 +21,8 @@ from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.pan_cleared import take_container_away
-from scuhand_bt.cell.weighing import require_known_delay, shown_step, weigh_changed, weighing_of
+from scuhand_bt.cell.shown_balance import require_known_delay, shown_step
+from scuhand_bt.cell.weighing import weigh_changed, weighing_of
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.device_specs.balance import BalanceSpec

@@ -32,7 +32,10 @@ CELLS = "The cell and its vessels"
 
 SECTIONS: Mapping[str, Mapping[str, Finding]] = {
     FILES: {
-        "unreadable": Finding("A file is missing, empty, too large, or not UTF-8 text.", "Save it again, as UTF-8."),
+        "unreadable": Finding(
+            "A file or a folder is missing, empty, too large, not UTF-8 text, or not yours to read.",
+            "Save it again, as UTF-8; have its owner let you read it.",
+        ),
         "bad-yaml": Finding("A file is not plain YAML.", "Look at the indentation, brackets and quotes at this place."),
         "wrong-shape": Finding("A list, a mapping or a text stands where another should.", "Write what is asked for."),
         "unknown-key": Finding("A key that nothing reads, most often misspelt.", "Take one of the known keys."),

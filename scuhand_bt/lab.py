@@ -142,7 +142,12 @@ def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:
 
 
 def files_of(folder: Path, pattern: str) -> list[Path]:
-    """The files of a lab's folder, in order; not what an editor leaves beside them (`x~`, `#x#`, `.x.swp`, `.#x`)."""
+    """The files of a lab's folder, in order; not what an editor leaves beside them (`x~`, `#x#`, `.x.swp`, `.#x`).
+
+    SourceError for a folder that is not ours to read, in which `glob` finds nothing.
+    """
+    if folder.is_dir() and not os.access(folder, os.R_OK | os.X_OK):
+        raise SourceError([Problem(Mark(str(folder)), "cannot be read: Permission denied", "unreadable")])
     found = folder.glob(pattern)
     return sorted(path for path in found if not (path.name.startswith((".", "#")) or path.name.endswith("~")))
 
@@ -164,7 +169,9 @@ def is_lab(folder: Path) -> bool:
     """Whether a folder is a lab."""
     try:
         return (folder / CELL_FILE).is_file()
-    except OSError:  # not ours to read, or a name that cannot be
+    except PermissionError:  # `robot` is not ours to read, as whoever reads it says; no other lab is taken in its place
+        return os.access(folder, os.X_OK)
+    except OSError:  # a name that cannot be
         return False
 
 

@@ -5,17 +5,8 @@ from typing import Any
 
 from scuhand_bt.cell.believed import slots_used
 from scuhand_bt.cell.pan_cleared import take_container_away
-from scuhand_bt.cell.weighing import (
-    changed,
-    is_to_be_weighed_again,
-    note_again,
-    require_known_delay,
-    seems_to_adapt,
-    shown_step,
-    watched,
-    weigh_changed,
-    weighing_of,
-)
+from scuhand_bt.cell.shown_balance import require_known_delay, seems_to_adapt, shown_step
+from scuhand_bt.cell.weighing import changed, is_to_be_weighed_again, note_again, watched, weigh_changed, weighing_of
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps

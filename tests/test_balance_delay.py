@@ -6,17 +6,21 @@ from dataclasses import replace
 from datetime import datetime
 from math import cos, exp, inf, pi, sin
 from pathlib import Path
+from statistics import fmean
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from balance_bench import RECIPE, told
 from conftest import LabFolder
+from dose_bench import DISH, Bench, Setting, shipped_powders
 from running import dry_run
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell.weighing import require_known_delay, seems_to_adapt, shown_step
-from scuhand_bt.device_specs.balance import BalanceSpec
+from scuhand_bt.cell.shown_balance import require_known_delay, seems_to_adapt, shown_step
+from scuhand_bt.cell.weighing import weigh_changed
+from scuhand_bt.clock import pause
+from scuhand_bt.device_specs.balance import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.dosing.characteristic import Step, step_of
@@ -65,6 +69,21 @@ class FarSlower(Slower):
 
 class LittleSlower(Slower):
     lag_s = 0.36
+
+
+class Adapting:
+    """A plant whose balance is four times slower while it misses less than 8 mg."""
+
+    class Response(OurBalanceResponse):
+        def step(self, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float, rng: Any) -> float:
+            lag_s = 0.2 if abs(on_pan_mg - self._second) > 8.0 else 0.8
+            if lag_s != self._figures.lag_s:
+                self._figures = self._figures.model_copy(update={"lag_s": lag_s})
+                self._dt_s = 0.0
+            return super().step(dt_s, on_pan_mg, landing_mg, vibration, rng)
+
+    def balance(self, spec: BalanceSpec) -> "Adapting.Response":
+        return self.Response(spec)
 
 
 def late_by(delay_s: float) -> Step:
@@ -322,6 +341,27 @@ def test_a_balance_too_slow_to_dose_with_is_refused_before_powder_falls(tmp_path
     assert [sample.code for sample in ran.result.samples][1:] == 3 * ["balance.slow"]
     assert [ran.sample(name).true_mg for name in "bcd"] == [0.0, 0.0, 0.0]
     assert "the balance showed the container 7.0 s late; for a dose 6.2 s are allowed" in (ran.sample("b").detail or "")
+
+
+@pytest.mark.parametrize(
+    "believed", [BalanceBelief(), BalanceBelief(lag_s=0.4, doubt=0.7, adapts=True, fits=3)], ids=["unknown", "known"]
+)
+def test_a_balance_that_adapts_is_weighed_when_it_no_longer_creeps(believed: BalanceBelief) -> None:
+    """It calls readings stable that are still on their way; the next weighing then looked like a step of its zero."""
+    spec = BalanceSpec(simulation=BalanceResponseSpec(drift_mg=0.0))
+    lacking_mg = []
+    for seed in range(4):
+        bench = Bench(shipped_powders()["glass_beads"], 50.0, seed, 0, Setting(f"{__name__}:Adapting", balance=spec))
+        bench.cell.balance.on_reading = bench.cell.readings.append
+        bench.cell.balance_belief = believed
+        bench.world.remove()
+        bench.drive(pause(bench.clock, 60.0))
+        bare = bench.drive(bench.cell.balance.stable_mean())
+        bench.world.place(DISH)
+        loaded = bench.drive(weigh_changed(bench.cell, bare.value_mg))
+        bench.drive(pause(bench.clock, 30.0))
+        lacking_mg.append(bench.drive(bench.cell.balance.stable_mean()).value_mg - loaded.value_mg)
+    assert abs(fmean(lacking_mg)) < 0.08, "it was 0.17"
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Stopping a run, and looking at what it left, depend on nothing else: no sound lab, no space, no right to write."""
 
-import os
 import shutil
 import socket
 import threading
@@ -10,6 +9,7 @@ from typing import Any
 
 import pytest
 from conftest import Call
+from nobody import as_nobody, let_in
 from resuming import Run, Watch
 from running import make_lab
 
@@ -105,27 +105,6 @@ def test_what_does_not_run_cannot_be_stopped_and_what_begins_says_so(run: Run, c
 # --- by a folder that can only be read
 
 
-def as_nobody(action: Any) -> str:
-    """What an action without any right to write comes to; "" where it raises nothing."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            if os.geteuid() == 0:
-                os.setgid(65534)
-                os.setuid(65534)
-            action()
-            os.write(writing, b"ok")
-        except BaseException as error:
-            os.write(writing, repr(error).encode())
-        finally:
-            os._exit(0)
-    os.waitpid(child, 0)
-    os.close(writing)
-    with os.fdopen(reading) as said:
-        return said.read()
-
-
 def test_a_killed_run_in_a_folder_that_can_only_be_read_is_read_to_its_last_entry(tmp_path: Path) -> None:
     folder = tmp_path / "runs"
     journal = Journal(folder / "killed.sqlite", durable=False)
@@ -136,8 +115,7 @@ def test_a_killed_run_in_a_folder_that_can_only_be_read_is_read_to_its_last_entr
     for part in ("killed.sqlite", "killed.sqlite-wal"):  # as a kill leaves them, or a careful copy
         shutil.copy(folder / part, copied / part)
     (copied / "killed.lock").touch()
-    for path in (tmp_path, *tmp_path.parents[:-2]):
-        path.chmod(0o755)
+    let_in(tmp_path)
     copied.chmod(0o555)
 
     def look() -> None:

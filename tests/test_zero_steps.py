@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from dose_bench import DISH, Bench, shipped_powders
 
-from scuhand_bt.cell import weighing
+from scuhand_bt.cell import shown_balance, weighing
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.cell.weighing import watched
 from scuhand_bt.clock import Clock, Signal, Steps, Wake, pause
@@ -397,8 +397,9 @@ def test_a_balance_that_seems_to_have_begun_to_adapt_is_shown_the_container_once
     def shown(*args: object) -> Step:
         return Step(1000.0, (0.1,), (0.0,))
 
-    monkeypatch.setattr(weighing, "shown_step", shown)
-    monkeypatch.setattr(weighing, "balance_of", found)
+    for module in (weighing, shown_balance):
+        monkeypatch.setattr(module, "shown_step", shown)
+    monkeypatch.setattr(shown_balance, "balance_of", found)
     # The lab's own, whatever other lab has put its skill of that name among the modules since.
     monkeypatch.setitem(rig.lab.library.skills["place_container"]._change.__globals__, "shown_step", shown)
     rig.do("place_container", container=NEXT)

@@ -79,6 +79,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=RESULTS)
     parser.add_argument("--pictures", type=Path, default=DOCS)
     asked = parser.parse_args()
+    every = list(cases())
+    if unknown := set(asked.only or []) - {case.name for case in every}:
+        parser.error(f"no such case: {', '.join(sorted(unknown))}; there are: {'; '.join(case.name for case in every)}")
     version = subprocess.run(["yade", "--version"], capture_output=True, text=True).stdout.split("\n")[0]
     with tempfile.TemporaryDirectory() as own:
         folder = asked.folder or Path(own)
@@ -88,7 +91,7 @@ def main() -> None:
         if asked.only is not None:
             kept = json.loads(asked.json.read_text())
             table, ways = kept["cases"], kept["ways"]
-        for case in cases():
+        for case in every:
             if asked.only is not None and case.name not in asked.only:
                 continue
             found = by_discrete_elements(case, folder)

@@ -3,12 +3,11 @@
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.cell.places import CLEAR_MM
+from scuhand_bt.cell.shown_balance import CHANGED_MG, shown_step
 from scuhand_bt.cell.weighing import (
-    CHANGED_MG,
     changed,
     is_to_be_weighed_again,
     note_again,
-    shown_step,
     watched,
     weigh_changed,
     weigh_left,

@@ -4,15 +4,14 @@ import math
 import statistics
 from collections.abc import Collection, Sequence
 from contextlib import closing
-from itertools import takewhile
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.shown_balance import CHANGED_MG, balance_by, late_s, shown_step
 from scuhand_bt.clock import Steps, Wake, pause
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import (
     HARDLY,
     LONGEST_WATCH_S,
-    SURELY,
     Gross,
     apart_mg,
     differ_mg,
@@ -23,16 +22,12 @@ from scuhand_bt.dosing.bracket import (
     standing,
     together,
 )
-from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
-from scuhand_bt.dosing.identification import balance_by_hand, balance_of, is_linear, is_unlike, rings, shown_by_s
+from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step
+from scuhand_bt.dosing.identification import rings, shown_by_s
 from scuhand_bt.events.weighings import (
-    BalanceAdapts,
-    BalanceChanged,
-    BalanceSlower,
     ContainerAgain,
 )
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.specs import BalanceBelief
 
 PATIENCE_S = 60.0
 """How long two weighings in a row may go on differing."""
@@ -47,10 +42,6 @@ CREEP_DIGITS = 5.0
 
 RESTS_S = 60.0
 """Within this time a container of 25 g comes to rest, to 0.1 mg; on two poles of 3 s it takes 47 s."""
-CHANGED_MG = 50.0
-"""Every container weighs more than this, and no draught pushes so hard."""
-SLOWER = 1.25
-"""A balance that is later than known by this factor is not set as it was."""
 DROP_S = 30.0
 """Interval at which powder may drip from a shut valve."""
 RISE_READINGS, RISES = 5, 1.5
@@ -61,8 +52,6 @@ again after CREEPS of the time it took."""
 PROMPT_S, LOOKS = 0.8, 3
 """A balance no later than PROMPT_S has shown what fell as the hand left when the arm is at rest, or calls no reading
 stable. A later one is weighed up to LOOKS times more."""
-HAND_S = 1.0
-"""Additional uncertainty of the time at which a person puts a container down."""
 
 
 def weighing_of(mean: StableMean) -> Gross:
@@ -133,13 +122,7 @@ def _came_at_once(cell: Cell, before: Gross, now: Gross) -> bool:
     """Whether the readings between two weighings rise as fast as the balance can show one drop."""
     seen = [one for one in cell.readings.copy() if before.time_s < one.time_s < now.time_s]
     took_s = rising_s(before, [(one.time_s, one.value_mg) for one in seen], now)
-    return took_s <= RISE_READINGS * cell.spec.balance.period_s + RISES * _late_s(cell)
-
-
-def _late_s(cell: Cell) -> float:
-    """The delay of the balance [s]; of its slow speed if it adapts."""
-    belief = cell.balance_belief
-    return 2.0 * belief.lag_s * (math.exp(belief.doubt) if belief.adapts else 1.0)
+    return took_s <= RISE_READINGS * cell.spec.balance.period_s + RISES * late_s(cell.balance_belief)
 
 
 def weigh_before_dose(cell: Cell, allowed_mg: float) -> Steps[tuple[Gross, StableMean]]:
@@ -201,12 +184,12 @@ def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
 def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     """The gross after something has come or gone, once the balance has caught up.
 
-    With a dead time it first goes on showing the earlier load. A balance that took long to call itself stable still
-    creeps by some tenths of a milligram, and is weighed until it is at rest. Raises SkillFailed balance.unstable if
-    readings called stable go on showing different loads.
+    With a dead time it first goes on showing the earlier load. A balance that took long to call itself stable, or that
+    adapts, still creeps by some tenths of a milligram, and is weighed until it is at rest. Raises SkillFailed
+    balance.unstable if readings called stable go on showing different loads.
     """
-    end_s = cell.clock.now_s + LONGEST_DELAY_S
-    while was_mg is not None and cell.clock.now_s < end_s:
+    begin_s = cell.clock.now_s
+    while was_mg is not None and cell.clock.now_s < begin_s + LONGEST_DELAY_S:
         reading = yield from cell.balance.next_reading()
         if abs(reading.value_mg - was_mg) > CHANGED_MG:
             break
@@ -223,9 +206,18 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     quick_s = max(QUICK_S, QUICK_READINGS * cell.spec.balance.period_s)
     if took_s > quick_s:
         took_s = min(took_s, _stable_s(cell, shown_s) - shown_s)
-    while took_s > quick_s and mean.time_s - shown_s < 2.0 * took_s:
+    if took_s > quick_s:
+        mean = yield from _at_rest(cell, mean, CREEPS * took_s, shown_s + 2.0 * took_s)
+    elif (balance := balance_by(cell, was_mg, weighing_of(mean), begin_s)).adapts:
+        mean = yield from _at_rest(cell, mean, late_s(balance), shown_s + RESTS_S)
+    return mean
+
+
+def _at_rest(cell: Cell, mean: StableMean, pause_s: float, end_s: float) -> Steps[StableMean]:
+    """The gross once two weighings, `pause_s` apart, agree; at the latest the first one after `end_s`."""
+    while mean.time_s < end_s:
         last = weighing_of(mean)
-        yield from pause(cell.clock, CREEPS * took_s)
+        yield from pause(cell.clock, pause_s)
         mean = yield from cell.right_of_way.stable_mean()
         now = weighing_of(mean)
         if abs(now.gross_mg - last.gross_mg) <= 2.0 * apart_mg(last, now, cell.spec.balance.readability_mg):
@@ -251,7 +243,7 @@ def weigh_left(cell: Cell, before: Gross) -> Steps[StableMean]:
 
     A slow balance first shows the earlier load, and calls it stable: it is weighed again after its delay.
     """
-    mean, delay_s = (yield from weigh_shown(cell, before)), _late_s(cell)
+    mean, delay_s = (yield from weigh_shown(cell, before)), late_s(cell.balance_belief)
     for _ in range(LOOKS if delay_s > PROMPT_S else 0):
         last = weighing_of(mean)
         yield from pause(cell.clock, delay_s)
@@ -322,80 +314,6 @@ def note_again(
             allowance_mg=allowance_mg,
         )
     )
-
-
-def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Step | None:
-    """How the balance has shown a load that came or went by `changed_s`; None where that cannot be told.
-
-    With a person nobody knows the moment: it counts from where it shows, and no dead time is seen.
-    """
-    if abs(after.gross_mg - before.gross_mg) < CHANGED_MG:
-        return None
-    since = takewhile(lambda one: one.time_s >= before.time_s, reversed(cell.readings.copy()))
-    curve = [(one.time_s, one.value_mg) for one in since if one.time_s <= after.time_s][::-1]
-    latest_s = math.inf if cell.changer.needs_person else changed_s
-    step = step_of(curve, before.gross_mg, after.gross_mg, latest_s)
-    return step and step._replace(uncertainty_mg=after.uncertainty_mg)
-
-
-def seems_to_adapt(cell: Cell, step: Step, beyond: float = SURELY) -> bool:
-    """Whether a known balance that did not adapt has shown a container like one that does, by more than chance.
-
-    `beyond` is in standard deviations. No person is asked to show it once more.
-    """
-    known = cell.balance_belief
-    if known.fits == 0 or known.adapts or cell.changer.needs_person:
-        return False
-    if not balance_of(step, beyond).adapts:
-        return False
-    # The last part must take at least a reading longer. Else a ringing filter looks like it, and so does a container
-    # that was weighed a tenth of a milligram too high.
-    return 2.0 * balance_of(step).lag_s > step.delay_s + cell.spec.balance.period_s
-
-
-def _adapting_by_hand(cell: Cell, step: Step) -> BalanceBelief | None:
-    """The balance, where a person's container shows that it adapts and that was not known; else None."""
-    if not cell.changer.needs_person or cell.balance_belief.adapts:
-        return None
-    return balance_by_hand(step, SURELY, cell.spec.balance.period_s)
-
-
-def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = False) -> None:
-    """Before a dose: believe the container about a balance that is slower, quicker or of another filter now.
-
-    The same holds for one that has begun to adapt, or ceased to, or is unknown. One container in a thousand looks by
-    chance like a filter that adapts, so this must show twice. Raises SkillFailed balance.slow if no dose is safe.
-    """
-    delay_s, inexact_s = step.delay_s, cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
-    if delay_s > LONGEST_DELAY_S + inexact_s:
-        late = f"the balance showed the container {delay_s:.1f} s late; for a dose {LONGEST_DELAY_S:g} s are allowed"
-        raise SkillFailed(Code.BALANCE_SLOW, late)
-    known_s = 2.0 * cell.balance_belief.lag_s if cell.known_delay_s is None else cell.known_delay_s
-    is_slower = delay_s > SLOWER * known_s + inexact_s
-    if is_slower:
-        cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
-    adapting, known = _adapting_by_hand(cell, step), cell.balance_belief
-    found = adapting or balance_of(step)
-    has_begun_to_adapt = has_seemed_to_adapt and seems_to_adapt(cell, step, beyond=0.0)
-    # Where nothing is known of the balance, one container in two hundred looks like it by chance. What openings alone
-    # have shown, no container takes back: it may be slow only for what comes little by little.
-    adapts_no_more = known.slow_mg > 0.0 and is_linear(step, SURELY)
-    # Compared with an earlier container: doses believe a filter that adapts to be slower than any step shows.
-    is_quicker = known.shown_s > SLOWER * delay_s + inexact_s
-    is_other = known.fits > 0 and known.shown_s > 0.0 and (is_quicker or is_unlike(step, known.shape))
-    is_news = known.fits == 0 or has_begun_to_adapt or adapts_no_more or is_other
-    if adapting is not None or is_slower or (is_news and not cell.changer.needs_person):
-        if known.fits > 0 and found.adapts != known.adapts:
-            late_s = {"delay_s": delay_s, "last_s": step.last_s, "last_uncertainty_s": step.last_uncertainty_s}
-            cell.record.event(BalanceAdapts(adapts=found.adapts, **late_s))
-        elif is_other and not is_slower:
-            shapes = {"shape": found.shape, "known_shape": known.shape}
-            cell.record.event(BalanceChanged(delay_s=delay_s, known_s=known.shown_s, **shapes))
-        # A person's own time is in the delay of what they put down.
-        cell.balance_belief = found.model_copy(update={"shown_s": 0.0}) if cell.changer.needs_person else found
-    if not is_slower and cell.known_delay_s is not None:
-        delay_s = min(delay_s, known_s)
-    cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
 
 
 def require_unchanged(cell: Cell) -> None:

@@ -82,6 +82,8 @@ def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
     try:
         if not path.is_file():
             raise _problem(path, "there is no such journal")
+        if not os.access(path, os.R_OK):
+            raise _problem(path, "cannot be read: Permission denied")
         # Not only errors of SQLite: a damaged journal may hold anything.
         with _readable(path) as readable, closing(read_only(readable)) as file:
             file.text_factory = lambda text: text.decode(errors="backslashreplace")

@@ -6,6 +6,7 @@ moment while a run may go on, each as one file. What comes back is what was copi
 
 import hashlib
 import json
+import os
 import shutil
 import zipfile
 from collections.abc import Iterator
@@ -27,6 +28,9 @@ def back_up(lab: Path, state: Path, archive: Path) -> int:
     for part in FOLDERS:
         if archive.resolve().is_relative_to((lab / part).resolve()):
             raise _problem(archive, f"the backup would be part of what it copies; write it outside of {part}/")
+    for copied_from in (*(lab / part for part in FOLDERS), state):
+        for _ in os.walk(copied_from, onerror=_refuse):
+            pass
     files: dict[str, str] = {}
     new = archive.with_name(f"{archive.name}.new")
     try:
@@ -84,6 +88,12 @@ def _all_of(lab: Path, state: Path) -> Iterator[tuple[str, Path]]:
     for pattern in ("lab.db", "runs/*.sqlite", "runs/*.world", "runs/*.twins/*"):
         for path in sorted(filter(Path.is_file, state.glob(pattern))):  # a port is none
             yield f"{STATE}/{path.relative_to(state).as_posix()}", path
+
+
+def _refuse(error: OSError) -> None:
+    """What is in a folder that cannot be listed is not known, and `glob` leaves it out without a word."""
+    if not isinstance(error, FileNotFoundError):
+        raise _problem(Path(error.filename), f"it cannot be copied: {error.strerror}")
 
 
 def _write(stored: zipfile.ZipFile, name: str, expected: str, folder: Path, archive: Path) -> None:

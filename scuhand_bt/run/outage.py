@@ -17,7 +17,8 @@ from dataclasses import dataclass
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import Bracket
 from scuhand_bt.cell.pan_cleared import possible_mg
-from scuhand_bt.cell.weighing import CHANGED_MG, weigh_changed, weighing_of
+from scuhand_bt.cell.shown_balance import CHANGED_MG
+from scuhand_bt.cell.weighing import weigh_changed, weighing_of
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing.bracket import AGREEMENT, Net, held, standing, total

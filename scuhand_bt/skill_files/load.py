@@ -163,6 +163,7 @@ def _shared_by(syntax: Syntax) -> Iterator[str]:
 def _load(path: Path, problems: Problems) -> type[Skill[Any]] | None:
     module_name = f"{PACKAGE}.skills.{path.stem}"
     try:
+        path.open("rb").close()  # one not to be read may still be imported, from what Python has compiled of it
         module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # a lab's file may fail in any way; the user is told where
         what = f"the skill cannot be loaded: {type(error).__name__}: {error}"

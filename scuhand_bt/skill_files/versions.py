@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,9 +29,11 @@ def with_remedy(problem: Problem, skill: Path, shared: Sequence[Path], starter: 
 
 
 def is_changed(path: Path, starter: Path) -> bool:
-    """Whether the starter lab has this file, and not as it is."""
+    """Whether the starter lab has this file, and not as it is; not of one that cannot be read."""
     theirs = starter / "skills" / path.name
-    return theirs.is_file() and path.read_bytes() != theirs.read_bytes()
+    with suppress(OSError):
+        return theirs.is_file() and path.read_bytes() != theirs.read_bytes()
+    return False
 
 
 def taken_there(path: Path, starter: Path) -> frozenset[str]:
