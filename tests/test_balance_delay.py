@@ -293,18 +293,6 @@ def test_a_balance_that_was_taken_for_one_that_adapts_is_taken_for_what_it_is_by
     assert [event.adapts for event in events] == [False] * is_taken_back
 
 
-def test_no_container_takes_back_that_openings_have_shown_a_filter_to_adapt(sound: Cell) -> None:
-    """It is slow only for what comes little by little: the third dose was 21 mg too much, as the first had been."""
-    events: list[Any] = []
-    told = BalanceBelief(lag_s=0.5, doubt=0.9, misfit=0.01, fits=3, adapts=True, shown_s=0.6)
-    cell = replace(sound, balance_belief=told, known_delay_s=0.6, record=Record(events.append))
-    step = late_by(0.6)._replace(uncertainty_mg=0.02)
-    looked = sum(time_s < 8.0 for time_s in step.times_s)
-    require_known_delay(cell, step._replace(times_s=step.times_s[:looked], missing=step.missing[:looked]))
-    assert cell.balance_belief == told
-    assert not events
-
-
 @pytest.mark.parametrize(
     ("by_hand", "delay_s", "refused"),
     [(False, 6.29, False), (False, 6.31, True), (True, 7.29, False), (True, 7.31, True)],

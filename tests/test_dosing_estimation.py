@@ -20,7 +20,6 @@ from scuhand_bt.dosing.identification import (
     MOST_SLOW_MG,
     SHAPES,
     Row,
-    adapting_by,
     balance_by,
     balance_of,
     is_linear,
@@ -151,43 +150,6 @@ def test_a_container_that_is_shown_at_once_is_a_balance_without_delay(missing: t
     """A balance of whole milligrams that tells its mass once in two seconds; one that rings between its readings."""
     found = balance_of(Step(25_000.0, (0.01, 0.02, 0.03), missing))
     assert 2.0 * found.lag_s == pytest.approx(LEAST_DELAY_S)
-
-
-def growing_mean(mass_mg: list[float], quick_s: float, most_s: float, restless_mg: float) -> list[float]:
-    """What a mean shows that goes over half a second more in each, and starts afresh where it is far off."""
-    over_s, shown_mg = most_s, [0.0]
-    passed = np.append(0.0, np.cumsum(mass_mg))
-    for number, mg in enumerate(mass_mg):
-        over_s = min(over_s + 0.5 * STEP_S, most_s) if abs(mg - shown_mg[-1]) < restless_mg else quick_s
-        first = max(number + 1 - round(over_s / STEP_S), 0)
-        shown_mg.append(float(passed[number + 1] - passed[first]) / (number + 1 - first))
-    return shown_mg[5::5]
-
-
-def test_a_mean_that_grows_in_quiet_is_slow_by_an_openings_tail_and_no_container_shows_it() -> None:
-    """13 of 48 doses were up to 21 mg too much."""
-    known = BalanceBelief(lag_s=0.125, doubt=0.12, shape="lively", fits=1, shown_s=0.25)
-    left_mg = [10.0 * STEP_S * min(number, 150) for number in range(400)]
-    shown_mg = growing_mean([0.0] * 250 + left_mg, 0.5, 4.0, 40.0)[50:]
-    rows = [Row(PERIOD_S, PERIOD_S * (number < 30), 0.0, mg, 0.1) for number, mg in enumerate(shown_mg)]
-    found = adapting_by(known, rows)
-    assert found.adapts
-    assert found.slow_mg == 0.0, "which only a container tells"
-    slowest_s = 2.0 * found.lag_s * math.exp(2.0 * found.doubt)
-    assert 2.0 < slowest_s < 6.0
-    assert adapting_by(UNKNOWN, rows) == UNKNOWN
-
-
-@pytest.mark.parametrize("kind", ["poles", "mean", "delay", "ringing"])
-@pytest.mark.parametrize("delay_s", [0.3, 0.9, 2.5])
-@pytest.mark.parametrize("open_s", [0.3, 4.0])
-def test_the_tail_of_no_plain_filter_looks_like_one_that_adapts(
-    kind: BalanceKind, delay_s: float, open_s: float
-) -> None:
-    known = balance_of(step_on(balance(kind, delay_s))).model_copy(update={"adapts": False})
-    for late_s in (0.0, 0.2):
-        rows, _ = opening(balance(kind, delay_s), open_s, 12.0, late_s)
-        assert adapting_by(known, rows) == known
 
 
 @pytest.mark.parametrize("open_s", [0.4, 4.0])

@@ -163,18 +163,6 @@ def test_only_what_came_more_than_predicted_makes_predictions_less_trusted() -> 
     assert known.erratic <= 3.5, "one bad one is not all"
 
 
-@pytest.mark.parametrize(("predicted_mg", "adapts"), [(110.0, True), (106.0, False), (20.0, False)])
-def test_a_flow_that_the_balance_showed_and_that_was_none_tells_that_its_filter_adapts(
-    predicted_mg: float, adapts: bool
-) -> None:
-    """A mean that is cut short shows at once what it had held back: 60 mg more were predicted than there were."""
-    known = Knowledge(request(balance=QUICK))
-    known.begin(100.0, 0.05)
-    known.judge_prediction(predicted_mg, 1.0)
-    assert known.balance.adapts == adapts
-    assert (known.balance.doubt > QUICK.doubt) == adapts
-
-
 def test_predictions_that_were_wrong_narrow_the_next_opening_and_are_kept() -> None:
     known = Knowledge(request())
     usual_mm = known.widest_mm(30.0)

@@ -91,9 +91,8 @@ def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = F
     adapting, known = _adapting_by_hand(cell, step), cell.balance_belief
     found = adapting or balance_of(step)
     has_begun_to_adapt = has_seemed_to_adapt and seems_to_adapt(cell, step, beyond=0.0)
-    # Where nothing is known of the balance, one container in two hundred looks like it by chance. What openings alone
-    # have shown, no container takes back: it may be slow only for what comes little by little.
-    adapts_no_more = known.slow_mg > 0.0 and is_linear(step, SURELY)
+    # Where nothing is known of the balance, one container in two hundred looks like it by chance.
+    adapts_no_more = known.adapts and is_linear(step, SURELY)
     # Compared with an earlier container: doses believe a filter that adapts to be slower than any step shows.
     is_quicker = known.shown_s > SLOWER * delay_s + inexact_s
     is_other = known.fits > 0 and known.shown_s > 0.0 and (is_quicker or is_unlike(step, known.shape))

@@ -76,22 +76,14 @@ class Step(NamedTuple):
     @property
     def last_s(self) -> float:
         """T of the step's last `LAST_MG`, from the last reading that missed more than that."""
-        return self._last_s(LAST_MG)
-
-    @property
-    def last_half_s(self) -> float:
-        """The same of the half of what the first reading missed, if that is more."""
-        return self._last_s(max(LAST_MG, 0.5 * self.missing[0] * abs(self.step_mg)))
-
-    def _last_s(self, mass_mg: float) -> float:
-        last = mass_mg / abs(self.step_mg)
-        points = [(time_s, min(share, last)) for time_s, share in self._shown(last)]
+        last = LAST_MG / abs(self.step_mg)
+        points = [(time_s, min(share, last)) for time_s, share in self._shown_last]
         return sum((a + b) / 2.0 * (to_s - from_s) for (from_s, a), (to_s, b) in pairwise(points)) / last
 
     @property
     def last_uncertainty_s(self) -> float:
         """Standard uncertainty of `last_s`, which grows with the time looked at."""
-        times_s = [time_s for time_s, _ in self._shown(LAST_MG / abs(self.step_mg))]
+        times_s = [time_s for time_s, _ in self._shown_last]
         return (times_s[-1] - times_s[0]) * self.uncertainty_mg / LAST_MG
 
     def let_go(self) -> "Step | None":
@@ -104,7 +96,7 @@ class Step(NamedTuple):
         if not touched:
             return None
         begins_s, whole = self.times_s[touched[-1]], self.missing[touched[-1]]
-        rests_s = begins_s + RESTS * (self._shown(LAST_MG / abs(self.step_mg))[0][0] - begins_s)
+        rests_s = begins_s + RESTS * (self._shown_last[0][0] - begins_s)
         rest = [
             (time_s - begins_s, share / whole)
             for time_s, share in zip(self.times_s, self.missing, strict=True)
@@ -115,8 +107,10 @@ class Step(NamedTuple):
         times_s, shares = zip(*rest, strict=True)
         return Step(abs(self.step_mg * whole), times_s, tuple(map(abs, shares)), self.uncertainty_mg)
 
-    def _shown(self, last: float) -> list[tuple[float, float]]:
-        """Times and shares, from the last reading that missed more than a share."""
+    @property
+    def _shown_last(self) -> list[tuple[float, float]]:
+        """Times and shares, from the last reading that missed more than `LAST_MG`."""
+        last = LAST_MG / abs(self.step_mg)
         large = [number for number, share in enumerate(self.missing) if abs(share) > last]
         return list(zip(self.times_s, self.missing, strict=True))[large[-1] if large else 0 :]
 

@@ -40,11 +40,6 @@ STEP_DOUBT, OPENING_DOUBT = 0.12, 0.2
 ADAPTS, SLOWEST = 0.2, 6.0
 """A filter adapts if the last of a step takes longer than it should by this share of the delay. It is then up to
 SLOWEST times slower for little changes."""
-LATER, LATER_SIGMAS = 0.5, 3.0
-"""It also adapts if the last of an opening takes longer than that of any shape by this share of the delay and so many
-standard uncertainties."""
-ENDS = 3
-"""Readings that tell what came of an opening, at the end of its tail."""
 LEAST_LAST = 0.3
 """Least time that the last of a step should take, as a share of the delay, when that factor is computed."""
 MOST_SLOW_MG = 200.0
@@ -299,37 +294,6 @@ def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> Balanc
         shape=str(shapes[best]),
         misfit=min(math.sqrt(squares[best] / np.sum((came_mg[best] - shown_mg) ** 2)), 1.0),
     )
-
-
-def adapting_by(known: BalanceBelief, rows: Sequence[Row]) -> BalanceBelief:
-    """The belief once an opening's last has come later than any plain filter of its delay shows it: then it adapts.
-
-    What came is told by the last readings: the bank's models are what is in question.
-    """
-    dt_s, phi_s, _, readings_mg, noise_mg, _ = np.array(rows).T
-    delay_s, came_s = 2.0 * known.lag_s, np.cumsum(phi_s)
-    shut = int(np.searchsorted(came_s, came_s[-1]))
-    gained_mg = float(readings_mg[-ENDS:].mean() - readings_mg[0])
-    if gained_mg <= LAST_MG:
-        return known
-    came_mg = np.tile(came_s / came_s[-1] * gained_mg, (len(SHAPES), 1))
-    linear_mg = _shown_mg(np.full(len(SHAPES), delay_s), list(SHAPES), dt_s, came_mg)
-    missing = 1.0 - np.vstack((readings_mg - readings_mg[0], linear_mg))[:, shut:] / gained_mg
-    times_s = tuple((np.cumsum(dt_s[shut:]) - dt_s[shut]).tolist())
-    tail, *linear = (Step(gained_mg, times_s, tuple(one), float(noise_mg[-1])) for one in missing.tolist())
-    linear_s = max(one.last_half_s for one in linear)
-    if tail.last_half_s < linear_s + LATER * delay_s + LATER_SIGMAS * tail.last_uncertainty_s:
-        return known
-    return adapting(known, tail.last_half_s / max(linear_s, LEAST_LAST * delay_s))
-
-
-def adapting(known: BalanceBelief, slower: float = SLOWEST) -> BalanceBelief:
-    """The belief once openings have shown that it adapts, and is so many times slower for little."""
-    if known.adapts or known.fits == 0:
-        return known
-    apart = 0.5 * math.log(min(slower, SLOWEST))
-    doubt, lag_s = math.hypot(known.doubt, apart), min(known.lag_s * math.exp(apart), LONGEST_S / 2.0)
-    return known.model_copy(update={"adapts": True, "lag_s": lag_s, "doubt": doubt})
 
 
 def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBelief:

@@ -22,7 +22,7 @@ from scuhand_bt.dosing.estimation import (
     UNKNOWN_SPREAD,
     Bank,
 )
-from scuhand_bt.dosing.identification import LEAST_APART_S, Row, adapting, adapting_by, balance_by, with_found
+from scuhand_bt.dosing.identification import LEAST_APART_S, Row, balance_by, with_found
 from scuhand_bt.dosing.noise import Noise
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, acceptance_mg, judge
@@ -49,9 +49,6 @@ LEAST_HOLD_S = 0.1
 """Shortest opening."""
 WIDER, MOST_NARROWEST_MM = 1.4, 0.5
 """Where little comes, the narrowest opening grows by WIDER, up to MOST_NARROWEST_MM above the threshold."""
-HELD_BACK = 5.0
-"""A prediction so many standard deviations too high is the balance's doing: it held back, and then showed all at once
-what looked like a flow."""
 ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
 """Gain at which `erratic` is learnt, and the most that one prediction counts."""
 DIFFERS = 0.5
@@ -176,14 +173,11 @@ class Knowledge:
         return self.bank.over_all(means, variances / self.bank.erratic)
 
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
-        """Update `erratic`, and what is known of the balance, by what was predicted when the valve was told to shut.
+        """Update `erratic` by what was predicted at the command to shut and what the look shows.
 
-        Only a surplus makes the prediction erratic. Much less than that, powder does not do: the filter adapts.
+        Only a surplus counts against the prediction.
         """
-        off_mg, sd_mg = self.bank.mass_mg - predicted_mg, math.hypot(sd_mg, self.noise.quiet_mg)
-        if off_mg < -HELD_BACK * sd_mg - LEAST_MG:
-            self.balance = adapting(self.balance)
-        more = max(off_mg, 0.0) / sd_mg
+        more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise.quiet_mg)
         self.erratic += ERRATIC_GAIN * (min(2.0 * more * more, MOST_ERRATIC) - self.erratic)
         self.erratic = max(self.erratic, 1.0)
 
@@ -273,8 +267,7 @@ class Knowledge:
             return
         least_mg = max(LEAST_MG, TELLING * noise_mg)
         if gained_mg > least_mg:
-            found = balance_by(self.rows, self.begin_mg, gained_mg)
-            self.balance = with_found(adapting_by(self.balance, self.rows), found)
+            self.balance = with_found(self.balance, balance_by(self.rows, self.begin_mg, gained_mg))
             self.error_mm = OPENING_ERROR_MM
         # Openings that bring little are added up.
         open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
