@@ -1,5 +1,6 @@
 """A step of the zero that a balance's filter hides: while the bare pan is not yet at rest, and while powder falls."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,6 +149,20 @@ def test_two_curves_of_different_filters_tell_no_step(after: Filter) -> None:
     came = shown(FILTERS["0.3 s"], np.where(at_s > TIMES_S, 0.0, MASS_MG), at_s, rng)
     went = shown(after, np.where(at_s > TIMES_S, MASS_MG + 35.0, 0.0), at_s, rng)
     assert hidden_step_mg(came, went, DIGIT_MG) == 0.0
+
+
+def test_a_filter_that_turns_slow_a_moment_sooner_or_later_hides_nothing() -> None:
+    """Two looks at one container, of a simulated run on such a filter, from 400 mg on: they looked like 1.6 mg."""
+    curves = json.loads((Path(__file__).parent / "adapting_container.json").read_text(encoding="utf-8"))
+    steps = [
+        Step(
+            one["step_mg"],
+            tuple(one["first_s"] + PERIOD_S * number for number in range(len(one["missing_mg"]))),
+            tuple(missing_mg / abs(one["step_mg"]) for missing_mg in one["missing_mg"]),
+        )
+        for one in (curves["came"], curves["went"])
+    ]
+    assert hidden_step_mg(*steps, DIGIT_MG) == 0.0
 
 
 def test_too_little_of_a_curve_tells_nothing() -> None:

@@ -42,7 +42,8 @@ CLEARER = 30.0
 """A step must explain this many times the variance that remains; tried on the filters of its tests, not derived."""
 LIKE, UNEXPLAINED = 3.0, 0.15
 """If more than LIKE remains, in variances of a reading, the two curves are not of one filter. One that adapts shows a
-step more slowly than the load: there it is if more than UNEXPLAINED remains, as a share of what is to be explained."""
+step more slowly than the load, and turns slow a little sooner or later: there no more than UNEXPLAINED may remain, as a
+share of what is to be explained."""
 SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3
 """A step must show undisguised in SEEN_READINGS, by this share and deviations; else it is the curve's own shape."""
 GAP_S = 0.2
@@ -84,8 +85,8 @@ def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
     left = misfit[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)
     best = np.unravel_index(int(left.argmin()), left.shape)
     stepped_mg, per_reading = abs(float(steps_mg[best])), left[best] / len(times_s)
-    is_explained = left[best] < UNEXPLAINED * late and balance_of(sound).adapts
-    is_clear = late - left[best] > CLEARER * per_reading and (per_reading < LIKE or is_explained)
+    is_alike = left[best] < UNEXPLAINED * late if balance_of(sound).adapts else per_reading < LIKE
+    is_clear = late - left[best] > CLEARER * per_reading and is_alike
     plain = int(misfit.argmin())
     seen_mg = np.abs(off_mg[plain])
     shows = (seen_mg > SEEN_SHARE * stepped_mg) & (seen_mg > SEEN_SIGMAS * np.sqrt(variances[plain]))
