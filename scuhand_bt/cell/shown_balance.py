@@ -17,7 +17,6 @@ SLOWER = 1.25
 """A balance that is later than known by this factor is not set as it was."""
 HAND_S = 1.0
 """Additional uncertainty of the time at which a person puts a container down."""
-
 BEFORE_S = 4.0
 """So long before a change of the load its readings begin to count: some must show the load as it was."""
 
@@ -99,8 +98,8 @@ def require_known_delay(cell: Cell, step: Step, *, has_seemed_to_adapt: bool = F
     is_news = known.fits == 0 or has_begun_to_adapt or adapts_no_more or is_other
     if adapting is not None or is_slower or (is_news and not cell.changer.needs_person):
         if known.fits > 0 and found.adapts != known.adapts:
-            late_s = {"delay_s": delay_s, "last_s": step.last_s, "last_uncertainty_s": step.last_uncertainty_s}
-            cell.record.event(BalanceAdapts(adapts=found.adapts, **late_s))
+            seen = {"delay_s": delay_s, "last_s": step.last_s, "last_uncertainty_s": step.last_uncertainty_s}
+            cell.record.event(BalanceAdapts(adapts=found.adapts, **seen))
         elif is_other and not is_slower:
             shapes = {"shape": found.shape, "known_shape": known.shape}
             cell.record.event(BalanceChanged(delay_s=delay_s, known_s=known.shown_s, **shapes))

@@ -24,9 +24,7 @@ from scuhand_bt.dosing.bracket import (
 )
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step
 from scuhand_bt.dosing.identification import rings, shown_by_s
-from scuhand_bt.events.weighings import (
-    ContainerAgain,
-)
+from scuhand_bt.events.weighings import ContainerAgain
 from scuhand_bt.failures import Code, SkillFailed
 
 PATIENCE_S = 60.0
